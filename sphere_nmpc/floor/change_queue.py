@@ -62,13 +62,14 @@ class ChangeQueue(Generic[G, M]):
         Returns what is made of what is given, in the place of what is in force; called by the
         thread.
     use : callable
-        Puts what has been made in force; what it refuses by an error has no effect either.
+        Puts what has been made in force, given the time since it was asked for [s, wall]; what it
+        refuses by an error has no effect either.
     refuse : callable
         Takes a request that is refused, and the error.
     """
 
     def __init__(
-        self, in_force: M, make: Callable[[G, M], M], use: Callable[[M], object],
+        self, in_force: M, make: Callable[[G, M], M], use: Callable[[M, float], object],
         refuse: Callable[[Request[G], Exception], object],
     ) -> None:
         self.in_force = in_force
@@ -158,16 +159,16 @@ class ChangeQueue(Generic[G, M]):
             return
         answer = accepted[0].answer
         if answer is not None:
-            answer.set_result(partial(self._put, outcome.made))
+            answer.set_result(partial(self._put, outcome.made, accepted[0].since))
             return
         try:
-            self._put(outcome.made)
+            self._put(outcome.made, min(request.since for request in accepted))
         except Exception as error:
             for request in accepted:
                 self._refused(request, error)
 
-    def _put(self, made: M) -> None:
-        self._use(made)
+    def _put(self, made: M, since: float) -> None:
+        self._use(made, time.monotonic() - since)
         self.in_force = made
 
     def _refused(self, request: Request[G], error: Exception) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.floor.change_queue import ChangeQueue, Request
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.floor.layers import Layers
+from sphere_nmpc.floor.layers import MOST_AREAS, Layers
 from sphere_nmpc.floor.map_file import read_map
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
@@ -33,8 +34,8 @@ from sphere_nmpc.ros.floor_messages import (
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS, GraphFault
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 
-_KEEPOUTS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of areas to keep out of, each of which is a message that a later subscriber needs, too."""
+_KEEPOUTS = QoSProfile(depth=MOST_AREAS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of areas to keep out of, all of which are sent at once to a node that starts later."""
 _LOOK_EVERY = 0.02
 """Wall time between two looks for a floor that is being made [s]."""
 _MOMENT = 1.0
@@ -81,8 +82,6 @@ class _Made(Generic[S, T]):
     floor: T | None = None
     shown: bytes = b""
     """The floor as a message, where it is published."""
-    took: float = 0.0
-    """How long it took to make it [s, wall]."""
 
 
 class FloorReceiver(Generic[S, T]):
@@ -126,13 +125,14 @@ class FloorReceiver(Generic[S, T]):
         self._publisher = (
             node.create_publisher(OccupancyGrid, "~/floor", LATCHED) if is_planner else None
         )
+        began = time.monotonic()
         given = _Given(settings, radius).changed(settings, _cells_of_file(settings.map_file))
         made = self._made(given, _Made(given))
         self._changes: ChangeQueue[_Given[S], _Made[S, T]] = ChangeQueue(
             made, self._made, self._put_in_force, self._refuse
         )
         if made.floor is not None:
-            self._show(made)
+            self._show(made, time.monotonic() - began)
         self._timer = node.create_wall_timer(_LOOK_EVERY, self._look)
         self._timer.cancel()
         self._subscriptions = [
@@ -222,28 +222,30 @@ class FloorReceiver(Generic[S, T]):
         else:  # memory, disk
             self._node.report(f"floor refused, {request.name} not in force, {_STAYS}", error)
 
-    def _put_in_force(self, made: _Made[S, T]) -> None:
+    def _put_in_force(self, made: _Made[S, T], took: float) -> None:
         if made.floor is not self.floor:
             self._use(made.floor)
-            self._show(made)
+            self._show(made, took)
 
-    def _show(self, made: _Made[S, T]) -> None:
+    def _show(self, made: _Made[S, T], took: float) -> None:
         """Log and publish a floor."""
-        self._event_log.report("floor", f"{_about(made.grid)}, in force after {made.took:.2f} s")
+        self._event_log.report("floor", f"{_about(made.grid)}, in force after {took:.2f} s")
         if self._publisher is not None:
             self._publisher.publish(made.shown)
 
     def _made(self, given: _Given[S], in_force: _Made[S, T]) -> _Made[S, T]:
         """Return the floor of what was given, or the one in force where it is the same."""
-        began = time.perf_counter()
         grid, settings = given.layers.grid(given.radius), given.settings
         if _are_same(grid, in_force.grid) and settings == in_force.given.settings:
             return replace(in_force, given=given)
-        floor = None if grid is None else self._make(grid, settings)
+        try:
+            floor = None if grid is None else self._make(grid, settings)
+        except OSError as error:
+            raise OSError(f"{error}; is there room in {gettempdir()} (TMPDIR)?") from error
         stamp, shown = int(self._node.get_clock().now().nanoseconds), b""
         if self._publisher is not None:
             shown = floor_message(grid, stamp, self._frame)
-        return _Made(given, grid, floor, shown, time.perf_counter() - began)
+        return _Made(given, grid, floor, shown)
 
 
 def floor_with_distances(radius: float, grid: Grid, settings: FloorSettings) -> Floor:

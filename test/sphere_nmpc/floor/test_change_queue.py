@@ -45,7 +45,8 @@ class Words:
             raise OSError("no space")
         return Made(given, in_force.parts + 1)
 
-    def _use(self, made: Made) -> None:
+    def _use(self, made: Made, took: float) -> None:
+        assert took >= 0.0
         if "useless" in made.given:
             raise ValueError("of no use")
         self.used.append(made.given)

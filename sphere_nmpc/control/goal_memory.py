@@ -8,8 +8,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from sphere_nmpc.foreign_file import read_file
 from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
 from sphere_nmpc.model.state import as_state
+
+_MOST_BYTES = 1_000_000
+"""Size of the file: several times that of the longest list of goals."""
 
 
 def cache_folder() -> Path:
@@ -73,7 +77,7 @@ class GoalMemory:
         """
         try:
             age = max(0.0, time.time() - self._path.stat().st_mtime)
-            content = json.loads(self._path.read_text(encoding="ascii"))
+            content = json.loads(read_file(self._path, _MOST_BYTES))
             goals = tuple(
                 Goal(as_state(pose), Orientation(kind)) for kind, *pose in content["goals"]
             )

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps in files, as map_server of Nav2 saves them: YAML with the name of an image, PGM or PNG."""
 
+import io
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +19,21 @@ from sphere_nmpc.floor.occupancy import (
     check_geometry,
     grid_of_values,
 )
+from sphere_nmpc.foreign_file import InvalidFileError, read_file
 from sphere_nmpc.foreign_text import shown
 
+_MOST_TEXT = 16_384
+"""Bytes of the YAML file, which mostly has 150; its parser takes 0.1 s for that many."""
+_DEEPEST = 2
+"""Levels of its lists: the origin is one in a mapping."""
+_MOST_IMAGE = 2 * MOST_CELLS + _MOST_TEXT
+"""Bytes of the image: two for a pixel, which are as many as an uncompressed file has."""
+_MOST_PLAIN = 20_000_000
+"""Bytes of an image in decimal numbers, with which its decoder takes up to 5 s."""
+_PLAIN = b"P2"
+_MAGIC = (b"P5", _PLAIN, b"\x89PNG")
+"""What images of the two formats begin with."""
+_FORMATS = "a PGM or PNG file"
 _OCCUPIED_THRESHOLD, _FREE_THRESHOLD = 0.65, 0.25
 """Thresholds of map_server where a file has none."""
 
@@ -66,13 +81,31 @@ def read_map(path: Path) -> MapValues:
     InvalidMapError
         If a file cannot be read, or an entry is missing or not what it has to be.
     """
-    import yaml
-
     name = f"map file {path}"
     try:
-        entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        return _read(name, Path(path))
+    except InvalidMapError:
+        raise
+    except InvalidFileError as error:
+        raise InvalidMapError(name, error.given, error.expected) from None
+    except Exception as error:  # parsers and decoders raise many kinds for a broken file
         raise InvalidMapError(name, shown(error), "a YAML file of map_server") from None
+
+
+def _read(name: str, path: Path) -> MapValues:
+    import yaml
+
+    text = read_file(path, _MOST_TEXT).decode("utf-8")
+    depth = 0
+    for event in yaml.parse(text):
+        # A few lines of aliases of aliases are a value that no memory can hold, and the parser
+        # takes minutes for thousands of brackets.
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
+            what = "an alias" if depth <= _DEEPEST else "lists in lists"
+            raise InvalidMapError(name, what, "a YAML file of map_server, which has none")
+    entries = yaml.safe_load(text)
     if not isinstance(entries, dict):
         raise InvalidMapError(name, type(entries).__name__, "a mapping with image, resolution ...")
     mode = entries.get("mode", "trinary")
@@ -88,42 +121,57 @@ def read_map(path: Path) -> MapValues:
             name, f"free_thresh {free:g} and occupied_thresh {occupied:g}",
             "0 <= free_thresh <= occupied_thresh <= 1",
         )
-    check_geometry(resolution, (*origin[:2], 0.0, 0.0, 0.0, 0.0, 1.0))
     image = entries.get("image")
     if not isinstance(image, str) or not image:
         raise InvalidMapError(name, f"image {image!r}", "the name of a PGM or PNG file")
-    levels = _levels(name, Path(path).parent / image)
+    place = (*origin[:2], 0.0, 0.0, 0.0, math.sin(0.5 * origin[2]), math.cos(0.5 * origin[2]))
+
+    def check(width: int, height: int) -> None:
+        check_geometry(name, width, height, resolution, place)
+
+    pixels, white = _pixels(name, path.parent / image, check)
     # In images black is 0, and row 0 at the top.
+    levels = np.arange(white + 1, dtype=np.float32) / np.float32(white)
     shares = levels if negate else 1.0 - levels
     values = np.full(shares.shape, -1, dtype=np.int8)
     values[shares < free] = 0
     values[shares > occupied] = 100
-    return MapValues(np.ascontiguousarray(values[::-1]), resolution, origin)
+    return MapValues(np.take(values, pixels[::-1], mode="clip"), resolution, origin)
 
 
-def _levels(name: str, image: Path) -> NDArray[np.float32]:
-    """Return the brightness of an image's pixels, 0 to 1, shape (H, W)."""
+def _pixels(
+    name: str, image: Path, check: Callable[[int, int], None]
+) -> tuple[NDArray[np.integer], int]:
+    """Return the brightness of an image's pixels, shape (H, W), and that of white.
+
+    `check` takes the numbers of columns and rows, and raises an error for those that are refused.
+    """
     from PIL import Image
 
-    # Larger images than the limit of Pillow are refused below by their size.
+    # Larger images than the limit of Pillow are refused by their size.
     Image.MAX_IMAGE_PIXELS, limit = None, Image.MAX_IMAGE_PIXELS
     try:
-        with Image.open(image) as opened:
-            width, height = opened.size
-            if width * height > MOST_CELLS:
-                raise InvalidMapError(name, f"{width} x {height} cells", f"1 to {MOST_CELLS}")
+        content = read_file(image, _MOST_IMAGE)
+        if not content.startswith(_MAGIC):
+            raise InvalidMapError(name, f"image {image}: {shown(content[:8])}", _FORMATS)
+        if content.startswith(_PLAIN) and len(content) > _MOST_PLAIN:
+            raise InvalidMapError(
+                name, f"an image of {len(content)} bytes in decimal numbers",
+                f"at most {_MOST_PLAIN}; a binary one (P5) is smaller",
+            )
+        with Image.open(io.BytesIO(content), formats=("PPM", "PNG")) as opened:
+            check(*opened.size)
             is_deep = opened.mode.startswith("I")
-            pixels = np.asarray(opened if is_deep else opened.convert("L"), dtype=np.float32)
+            pixels = np.asarray(opened if is_deep else opened.convert("L"))
     except InvalidMapError:
         raise
-    except Exception as error:  # decoders raise many kinds for a broken file
-        raise InvalidMapError(
-            name, f"image {image}: {shown(error)}", "a PGM or PNG file"
-        ) from None
+    except InvalidFileError as error:
+        raise InvalidMapError(name, f"image {image}: {error.given}", error.expected) from None
+    except Exception as error:
+        raise InvalidMapError(name, f"image {image}: {shown(error)}", _FORMATS) from None
     finally:
         Image.MAX_IMAGE_PIXELS = limit
-    found: NDArray[np.float32] = pixels / np.float32(65535.0 if is_deep else 255.0)
-    return found
+    return pixels, 65535 if is_deep else 255
 
 
 def _number(name: str, entries: dict[str, Any], key: str, default: float | None = None) -> float:

@@ -4,15 +4,19 @@
 
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.map_file import read_map
-from sphere_nmpc.floor.occupancy import check_polygon
+from sphere_nmpc.floor.occupancy import MOST_CORNERS, check_polygon
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import quantity, validate
+
+_LONGEST = 64 * MOST_CORNERS
+"""Characters of an edge: two numbers of 20 digits and some space for each corner."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +45,7 @@ class OccupancySettings:
 
     def edge(self) -> Vector | None:
         """Return the corners of the edge, shape (K, 2) [m]; None without one."""
-        if not self.floor.strip():
-            return None
-        try:
-            corners = [(float(x), float(y)) for x, y in json.loads(self.floor)]
-        except (TypeError, ValueError):
-            raise InvalidParameterError(
-                "floor", self.floor, "corners such as [[0, 0], [4, 0], [4, 3], [0, 3]]"
-            ) from None
-        return check_polygon("floor", corners)
+        return _edge_of(self.floor) if self.floor.strip() else None
 
     def layers(self) -> Layers:
         """Return map and edge; `InvalidMapError` is raised if the file cannot be used."""
@@ -73,3 +69,19 @@ class FloorSettings(OccupancySettings):
         """Return the floor of a sphere of a radius [m]; None without map and edge."""
         grid = self.layers().grid(radius)
         return None if grid is None else Floor(grid, radius, self.clearance)
+
+
+@lru_cache(maxsize=2)  # a change is checked more than once
+def _edge_of(text: str) -> Vector:
+    """Return the corners of an edge, shape (K, 2) [m], as they were given."""
+    if len(text) > _LONGEST:
+        raise InvalidParameterError("floor", text, f"at most {_LONGEST} characters")
+    try:
+        corners = [(float(x), float(y)) for x, y in json.loads(text)]
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        raise InvalidParameterError(
+            "floor", text, "corners such as [[0, 0], [4, 0], [4, 3], [0, 3]]"
+        ) from None
+    edge = check_polygon("floor", corners)
+    edge.flags.writeable = False
+    return edge

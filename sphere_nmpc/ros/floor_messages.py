@@ -15,13 +15,25 @@ from geometry_msgs.msg import PolygonInstanceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import serialize_message
 
-from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon, grid_of_values
-from sphere_nmpc.model.state import QUATERNION, Vector, upright_state
+from sphere_nmpc.floor.occupancy import (
+    MOST_CELLS,
+    MOST_CORNERS,
+    Grid,
+    InvalidMapError,
+    grid_of_values,
+)
+from sphere_nmpc.model.state import QUATERNION, upright_state
 from sphere_nmpc.ros.messages import message_object, stamp_to_ros
 
 CellsOf = Callable[[float, bool], Grid]
 """Returns the cells of a map, given the share [-] from which on one is occupied, and whether
 unknown ones are free."""
+
+
+LARGEST_MAP = MOST_CELLS + 1000, f"{MOST_CELLS} cells"
+"""Size of the largest map [bytes], header included, and what that is enough for."""
+LARGEST_KEEPOUT = 12 * MOST_CORNERS + 1000, f"{MOST_CORNERS} corners"
+"""The same of an area to keep out of."""
 
 
 def map_of_message(raw: bytes, frame: str) -> CellsOf:
@@ -35,17 +47,16 @@ def map_of_message(raw: bytes, frame: str) -> CellsOf:
     return partial(grid_of_values, values, info.width, info.height, info.resolution, origin)
 
 
-def keepout_of_message(raw: bytes, frame: str) -> tuple[int, Vector | None]:
-    """Return the id of a serialised PolygonInstanceStamped, and its corners, shape (K, 2) [m].
+def keepout_of_message(
+    message: PolygonInstanceStamped, frame: str
+) -> tuple[int, list[tuple[float, float]]]:
+    """Return the id of an area in a frame or without one, and its corners as they are [m].
 
-    They are None where it has none, which removes the polygon.
+    There are none in a message that removes the area.
     """
-    message = message_object(raw, PolygonInstanceStamped)
     _check_frame("keepout", message, frame)
-    number, points = int(message.polygon.id), message.polygon.polygon.points
-    if not points:
-        return number, None
-    return number, check_polygon(f"keepout {number}", [(point.x, point.y) for point in points])
+    points = message.polygon.polygon.points
+    return int(message.polygon.id), [(point.x, point.y) for point in points]
 
 
 def floor_message(grid: Grid | None, stamp: int, frame: str) -> bytes:

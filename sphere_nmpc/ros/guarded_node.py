@@ -4,7 +4,8 @@
 
 import re
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from concurrent.futures import Future
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
-from sphere_nmpc.errors import InvalidValueError, SphereNmpcError
+from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.messages import clock_stamp, message_object
@@ -61,17 +62,26 @@ class GuardedNode(Node):
         qos_profile: Any,
         *,
         raw: bool = False,
+        largest: tuple[int, str] | None = None,
         **options: Any,
     ) -> Subscription:
-        """Create a subscription; see `rclpy.node.Node.create_subscription`."""
+        """Create a subscription; see `rclpy.node.Node.create_subscription`.
+
+        `largest` is the size [bytes] above which a message is refused before it is read, which
+        takes the longer the more it has, and what that is enough for.
+        """
 
         @wraps(callback)
         def read(message: bytes, *about: Any) -> Any:
+            if largest is not None and len(message) > largest[0]:
+                raise InvalidInputError(topic, f"{len(message)} bytes", f"at most {largest[1]}")
+            if raw:
+                return callback(message, *about)
             if msg_type is Clock:
                 clock_stamp(message)  # rclpy would raise an error of its own before 0
             return callback(message_object(message, msg_type), *about)
 
-        taken = self.guarded(f"{topic} refused", callback if raw else read)
+        taken = self.guarded(f"{topic} refused", read)
         return super().create_subscription(
             msg_type, topic, taken, qos_profile, raw=True, **options
         )
@@ -94,10 +104,24 @@ class GuardedNode(Node):
     ) -> Service:
         """Create a service whose answer, where the callback fails, is a refusal with the reason.
 
-        See `rclpy.node.Node.create_service`.
+        See `rclpy.node.Node.create_service`. A callback that returns a generator of futures is
+        continued whenever one is done, and answers with what it returns; futures are to be done by
+        the executor of the node, which goes on with other callbacks until then.
         """
         answer = self._answering(srv_name, callback)
-        return super().create_service(srv_type, srv_name, answer, **options)
+        service = super().create_service(srv_type, srv_name, answer, **options)
+        send = service.send_response
+
+        def send_when_known(response: Any, header: Any) -> None:
+            if isinstance(response, Future):
+                response.add_done_callback(
+                    self.guarded(FAILED, lambda known: send(known.result(), header))
+                )
+            else:
+                send(response, header)
+
+        service.send_response = send_when_known  # type: ignore[method-assign]
+        return service
 
     def guarded(self, kind: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Return a callback that logs errors as a fault of this kind rather than raising them."""
@@ -115,17 +139,44 @@ class GuardedNode(Node):
     def _answering(self, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(callback)
         def answer(request: Any, response: Any) -> Any:
-            try:
-                return callback(request, response)
-            except Exception as error:
-                self.report(f"{name} refused", error)
-                return _refusal(request, response, _reason(error))
+            def tried(step: Callable[[], Any]) -> Any:
+                try:
+                    return step()
+                except Exception as error:
+                    self.report(f"{name} refused", error)
+                    return _refusal(request, response, reason_of(error))
+
+            found = tried(lambda: callback(request, response))
+            return _driven(found, tried) if isinstance(found, Generator) else found
 
         return answer
 
     def report(self, kind: str, error: Exception) -> None:
         """Log an error as a fault of this kind; one of another package with its place."""
-        self._fault_log.report(kind, f"{_reason(error)}{_place(error)}")
+        self._fault_log.report(kind, f"{reason_of(error)}{_place(error)}")
+
+
+def _driven(
+    steps: Generator[Future[Any], None, Any], tried: Callable[[Callable[[], Any]], Any]
+) -> Any:
+    """Return what a generator of futures returns, or a future of that where one is not done."""
+    answer: Future[Any] = Future()
+
+    def step() -> Any:
+        try:
+            return next(steps)
+        except StopIteration as end:
+            return end.value
+
+    def go_on(_: object = None) -> None:
+        found = tried(step)
+        if isinstance(found, Future):
+            found.add_done_callback(go_on)
+        else:
+            answer.set_result(found)
+
+    go_on()
+    return answer.result() if answer.done() else answer
 
 
 def _for_valid_hash(callback: Callable[..., Any]) -> Callable[..., Any]:
@@ -141,7 +192,7 @@ def _for_valid_hash(callback: Callable[..., Any]) -> Callable[..., Any]:
     return answer
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """Return the message of an error; that of another package has its type and is foreign."""
     if isinstance(error, SphereNmpcError):
         return str(error)

@@ -17,10 +17,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import rclpy
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 from rclpy.task import Future
 
 from sphere_nmpc.child import END_SIGNALS
@@ -66,6 +69,18 @@ class RunnableNode(GuardedNode):
         )
         self.parameters = Parameters(self)
         """Where the node declares its settings."""
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
+    ) -> Service:
+        """Create a service; those of rclpy that set parameters answer by `Parameters.answer`."""
+        if srv_type in (SetParameters, SetParametersAtomically):
+            set_now = callback
+
+            def callback(request: Any, response: Any) -> Any:
+                return self.parameters.answer(set_now, request, response)
+
+        return super().create_service(srv_type, srv_name, callback, **options)
 
     @property
     def thread_priority(self) -> int:

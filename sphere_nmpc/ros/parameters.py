@@ -3,7 +3,9 @@
 """Settings dataclasses as ROS parameters, declared from the description of each quantity."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from concurrent.futures import Future
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -12,24 +14,36 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import Quantity, quantities
+from sphere_nmpc.ros.guarded_node import reason_of
 
 S = TypeVar("S")
 
+Prepare = Callable[[Callable[[], S], set[str], bool], Future[Callable[[], object]]]
+"""Begins to make what changed settings need, and returns a future of what puts it in force, or of
+the error that refuses it. The first argument returns the settings, for the thread that makes it,
+the second has the fields that were set. The third says whether to return only when it is made;
+otherwise the future is done by the executor of the node."""
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 class DeclaredSettings(Generic[S]):
     """Settings dataclass whose fields are parameters of a node; see `Parameters.declare`."""
 
-    def __init__(self, default: S, prefix: str, on_change: Callable[[S], object] | None) -> None:
+    def __init__(
+        self, default: S, prefix: str, on_change: Callable[[S], object] | None,
+        prepare: Prepare[S] | None,
+    ) -> None:
         self._default: Any = default
-        self._on_change = on_change
+        self._on_change, self._prepare = on_change, prepare
+        self.prepared: Future[Callable[[], object]] | None = None
+        """What was made for the values that are being set."""
         self._prefix = f"{prefix}." if prefix else ""
         self.fields = {f"{self._prefix}{field}": field for field in quantities(default)}
         """Fields by the full names of their parameters."""
@@ -54,6 +68,29 @@ class DeclaredSettings(Generic[S]):
                 self._prefix + error.name, error.given, error.expected
             ) from None
 
+    def prepare(self, values: dict[str, Any], wait: bool) -> Future[Callable[[], object]] | None:
+        """Begin to make what values need that are to be set, by full name; see `Prepare`."""
+        if self._prepare is None:
+            return None
+        names = {self.fields[name] for name in values}
+        return self._prepare(partial(self.changed, values), names, wait)
+
+    @property
+    def has_to_prepare(self) -> bool:
+        """Whether a change needs something that has to be made."""
+        return self._prepare is not None
+
+    def check(self, values: dict[str, Any]) -> None:
+        """Raise an error for values, by full name, that cannot be in force.
+
+        What was prepared for them is, from then on.
+        """
+        made = self.prepared or self.prepare(values, wait=True)
+        if made is None:
+            self.changed(values)
+        else:
+            made.result()()
+
     def apply(self, values: dict[str, Any]) -> None:
         """Take over values that were accepted."""
         self.settings = self.changed(values)
@@ -77,15 +114,17 @@ class Parameters:
         node.add_post_set_parameters_callback(self._apply)
 
     def declare(
-        self, default: S, prefix: str = "", on_change: Callable[[S], object] | None = None
+        self, default: S, prefix: str = "", on_change: Callable[[S], object] | None = None,
+        prepare: Prepare[S] | None = None,
     ) -> DeclaredSettings[S]:
         """Declare the fields of a settings dataclass, and return its values as they are given.
 
         The quantities of `default` give types, ranges and descriptions. Names begin with `prefix`
         and a dot: ``robot.shell_mass``. `on_change` is called with the settings after a live
-        change. A given value that is not accepted raises `InvalidParameterError`.
+        change; with `prepare` one is accepted only once what it needs has been made. A given
+        value that is not accepted raises `InvalidParameterError`.
         """
-        declared = DeclaredSettings(default, prefix, on_change)
+        declared = DeclaredSettings(default, prefix, on_change, prepare)
         given = {name: _take(self._node, name) for name in declared.fields}
         values = {name: value for name, value in given.items() if value is not None}
         declared.settings = declared.changed(values)
@@ -114,6 +153,30 @@ class Parameters:
                 f"'ros2 param list {node.get_fully_qualified_name()}' lists the known ones"
             )
 
+    def answer(
+        self, set_now: Callable[[Any, Any], Any], request: Any, response: Any
+    ) -> Generator[Future[Any], None, Any]:
+        """Answer a request to set parameters, once what each of its changes needs is made.
+
+        `set_now` is rclpy's own callback of the service; for the generator see `GuardedNode`.
+        """
+        given = list(request.parameters)
+        is_whole = isinstance(request, SetParametersAtomically.Request)
+        for part in [given] if is_whole else [[one] for one in given]:
+            values = self._by_owner([Parameter.from_parameter_msg(one) for one in part])
+            made = {owner: owner.prepare(some, wait=False) for owner, some in values.items()}
+            for future in made.values():
+                if future is not None:
+                    yield future
+            for owner, future in made.items():
+                owner.prepared = future
+            try:
+                set_now(type(request)(parameters=part), response)
+            finally:
+                for owner in made:
+                    owner.prepared = None
+        return response
+
     def _convert(self, parameters: list[Parameter]) -> list[Parameter]:
         """Convert values given to the node, so that ``5`` is accepted for ``5.0``."""
         return [
@@ -123,11 +186,14 @@ class Parameters:
         ]
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Check values; rclpy calls this after what else may refuse them."""
+        found = self._by_owner(parameters)
         try:
-            for owner, values in self._by_owner(parameters).items():
-                owner.changed(values)
-        except InvalidParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            # What is put in force by its check comes last, as it cannot be taken back.
+            for owner in sorted(found, key=lambda owner: owner.has_to_prepare):
+                owner.check(found[owner])
+        except Exception as error:  # also of memory and disk, for what has to be made
+            return SetParametersResult(successful=False, reason=reason_of(error))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:

@@ -37,7 +37,7 @@ FLOORS = {
         ("floor",),
         ("solver", "settings"),
         ("model",),
-        ("quantity", "fault_log", "worker"),
+        ("quantity", "fault_log", "worker", "foreign_file"),
         ("child", "errors", "library_threads"),
         ("foreign_text", "channel"),
     ),

@@ -7,19 +7,24 @@ from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Goals
-from rclpy.node import Node
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import (
     framed_point_from_ros,
     framed_pose_from_ros,
     framed_poses_from_ros,
     stamp_from_ros,
 )
+
+_MOST = 500
+"""Goals of a list, which take some 30 ms to be read."""
+_LARGEST = 200 * _MOST, f"{_MOST} goals"
+"""Size of the largest message [bytes]: each has 80 without the name of its frame."""
 
 
 class GoalReceiver:
@@ -29,7 +34,7 @@ class GoalReceiver:
 
     Parameters
     ----------
-    node : Node
+    node : GuardedNode
         Node of the subscriptions.
     clock : ControlClock
         Clock for messages that have no stamp.
@@ -44,7 +49,7 @@ class GoalReceiver:
     """
 
     def __init__(
-        self, node: Node, clock: ControlClock, frame: str, orientation: Callable[[], str],
+        self, node: GuardedNode, clock: ControlClock, frame: str, orientation: Callable[[], str],
         use: Callable[[Itinerary], None], fault_log: FaultLog,
     ) -> None:
         self._clock, self._frame, self._orientation = clock, frame, orientation
@@ -53,7 +58,7 @@ class GoalReceiver:
         def subscribe(kind: Any, topic: str, read: Callable[[Any], tuple[Goal, ...]]) -> Any:
             return node.create_subscription(
                 kind, topic, lambda message: self._receive(message, topic, read), 1,
-                event_callbacks=NO_EVENTS,
+                event_callbacks=NO_EVENTS, largest=_LARGEST,
             )
 
         self._subscriptions = [
@@ -84,5 +89,7 @@ class GoalReceiver:
         """Return the goals of a list."""
         if not message.goals:
             raise InvalidStateError("goals", "an empty list", "one pose or more; ~/cancel stops")
+        if len(message.goals) > _MOST:
+            raise InvalidStateError("goals", f"{len(message.goals)} goals", f"at most {_MOST}")
         poses = framed_poses_from_ros(message.goals, message.header.frame_id, self._frame)
         return tuple(Goal(pose, Orientation(self._orientation())) for pose in poses)

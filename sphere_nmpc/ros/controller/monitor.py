@@ -81,12 +81,13 @@ class ControllerMonitor:
             )
 
     def check(
-        self, now: float | None, follows_clock: bool, jump: float, pose_timeout: float
+        self, now: float | None, follows_clock: bool, jump: float, pose_timeout: float,
+        further: Sequence[GraphFault],
     ) -> None:
         """Update the faults at control time `now` [s], None before the first message on /clock.
 
-        `jump` is the step of the clock [s] if there was one no more than 0.2 s ago, or 0, and
-        `pose_timeout` the largest accepted age of a pose [s].
+        `jump` is the step of the clock [s] if there was one no more than 0.2 s ago, or 0,
+        `pose_timeout` the largest accepted age of a pose [s], `further` what is found elsewhere.
         """
         wall, graph = time.monotonic(), self._graph
         self.is_steady = jump == 0.0
@@ -126,7 +127,7 @@ class ControllerMonitor:
             self._compared_at, self._incompatible = wall, graph.incompatible()
         if any(fault.kind.endswith(f" {self._pose_topic}") for fault in self._incompatible):
             found = [fault for fault in found if fault.kind != _NO_POSE]
-        graph.update(self._incompatible + found)
+        graph.update([*self._incompatible, *found, *further])
 
     def _missed_samples(self, wall: float) -> list[GraphFault]:
         used, missed, period = self._counted

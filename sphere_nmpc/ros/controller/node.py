@@ -85,7 +85,7 @@ class ControllerNode(RunnableNode):
         self._scheduling = declare(SchedulingSettings())
         self._frame = declare(FrameSettings()).settings.world_frame
         floor = declare(
-            FloorSettings(), on_change=lambda changed: self._floor_receiver.change(changed)
+            FloorSettings(), prepare=lambda *change: self._floor_receiver.prepare(*change)
         ).settings
         self.parameters.warn_of_unknown()
         self.add_on_set_parameters_callback(self._refuse)
@@ -119,7 +119,7 @@ class ControllerNode(RunnableNode):
         )
         self._reports = ControllerReports(
             self, self.controller, self._schedule, self._fault_log, robot, settings,
-            self._monitor, self._event_log, self._frame,
+            self._monitor, self._event_log, self._frame, lambda: self._floor_receiver.pending,
         )
         self._rotor_receiver = RotorReceiver(
             self, self.controller, self._control_clock
@@ -203,7 +203,9 @@ class ControllerNode(RunnableNode):
         now, watch = clock.now(), clock.watch
         jump = 0.0 if watch.is_steady else watch.step
         self._monitor.stamps.deviation = self.controller.estimator.stamp_deviation
-        self._monitor.check(now, clock.simulated, jump, self._settings.pose_timeout)
+        self._monitor.check(
+            now, clock.simulated, jump, self._settings.pose_timeout, self._floor_receiver.faults()
+        )
         self._reports.update()
         if self._rotor_receiver is not None:
             self._rotor_receiver.update()

@@ -4,7 +4,7 @@
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from time import perf_counter
 from typing import Any
 
@@ -56,7 +56,10 @@ _LONGEST_SILENCE = 0.4
 
 
 class ControllerReports:
-    """Publisher of goal, arrival, path and status, in `frame`; source of the diagnostics."""
+    """Publisher of goal, arrival, path and status, in `frame`; source of the diagnostics.
+
+    `floor_pending` returns for how long a change of the floor has not been in force [s].
+    """
 
     def __init__(
         self,
@@ -69,8 +72,10 @@ class ControllerReports:
         monitor: ControllerMonitor,
         event_log: FaultLog,
         frame: str,
+        floor_pending: Callable[[], float],
     ) -> None:
         self._controller = controller
+        self._floor_pending = floor_pending
         self._monitor = monitor
         self._schedule = schedule
         self._fault_log = fault_log
@@ -171,6 +176,7 @@ class ControllerReports:
             message = f"{found[0].kind}: {found[0].message}"
             level = ERROR if found[0].severe else max(level, WARN)
         self._status_at = perf_counter()
+        values = {**values, "floor_pending_s": self._floor_pending()}
         self._status.publish(status(self._name, level, message, values))
 
     def _publish_arrival(self) -> None:

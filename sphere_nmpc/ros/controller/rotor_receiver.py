@@ -5,7 +5,6 @@
 from math import inf
 from time import monotonic
 
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
@@ -14,6 +13,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import rotor_speeds_and_stamp
 
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -21,6 +21,9 @@ _SPACING = 8e-3
 """Wall time between two messages that are read [s]: delays of a link are longer than this."""
 _OTHER_CLOCK = 1.0
 """Age, or time ahead of the clock, beyond which a message is of another clock [s]."""
+
+_LARGEST = 100_000, "some thousand joints"
+"""Size of the largest message [bytes]."""
 
 
 class RotorReceiver:
@@ -31,7 +34,7 @@ class RotorReceiver:
     """
 
     def __init__(
-        self, node: Node, controller: Controller, clock: ControlClock
+        self, node: GuardedNode, controller: Controller, clock: ControlClock
     ) -> None:
         self._node = node
         self._controller = controller
@@ -46,7 +49,7 @@ class RotorReceiver:
         if needed and self._subscription is None:
             self._subscription = self._node.create_subscription(
                 JointState, "joint_states", self._receive, _NEWEST, event_callbacks=NO_EVENTS,
-                raw=True,
+                raw=True, largest=_LARGEST,
             )
         elif not needed and self._subscription is not None:
             self._node.destroy_subscription(self._subscription)

@@ -84,7 +84,7 @@ class SimulatorNode(RunnableNode):
         self._scheduling = declare(SchedulingSettings())
         frame = declare(FrameSettings()).settings.world_frame
         occupancy = declare(
-            OccupancySettings(), on_change=lambda changed: self._floor_receiver.change(changed)
+            OccupancySettings(), prepare=lambda *change: self._floor_receiver.prepare(*change)
         ).settings
         self.parameters.warn_of_unknown()
         self._floor_receiver = FloorReceiver(
@@ -292,7 +292,10 @@ class SimulatorNode(RunnableNode):
     def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
         self._controllers.update()
-        self._monitor.update(self._monitor.incompatible() + others + self._contradictions())
+        self._monitor.update([
+            *self._monitor.incompatible(), *others, *self._contradictions(),
+            *self._floor_receiver.faults(),
+        ])
         clock, wanted = self._simulated_clock, self._settings.real_time_factor
         achieved = clock.achieved(self.simulator.now, time.monotonic())
         values = {

@@ -3,6 +3,7 @@
 """Map, edge and areas to keep out of, put together, and the settings that they come from."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import Layers
-from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
+from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, touched_runs
 from sphere_nmpc.floor.settings import FloorSettings
 
 RADIUS = 0.3
@@ -68,6 +69,73 @@ def test_area_is_replaced_and_removed_by_its_id() -> None:
     assert sorted(moved.with_keepout(1, None).keepouts) == [2]
 
 
+def test_area_beyond_a_map_has_no_effect_on_it() -> None:
+    alone, far = Layers(HALL, ROOM).grid(RADIUS), Layers(HALL, ROOM, {1: PILLAR + 1e5})
+    np.testing.assert_array_equal(far.grid(RADIUS).occupied, alone.occupied)
+
+
+@pytest.mark.parametrize(
+    ("layers", "told"),
+    [
+        (Layers(keepouts={4: PILLAR, 7: PILLAR + 1e5}),
+         "keepout 7: given 'a floor of 1.001e+05 m x 1.001e+05 m', expected at most 2.25e+0"),
+        (Layers(edge=200.0 * ROOM), "floor: given 'a floor of 500 m x 200 m', expected at most"),
+        (Layers(edge=ROOM * (3e5, 1e-6)), "floor: given 'a floor of 7.5e+05 m x 1e-06 m', exp"),
+        (Layers(edge=ROOM + np.array((999_998.0, 0.0))),
+         "floor: given 'a corner at 1000001 m', expected all within 1e+06 m"),
+    ],
+)
+def test_layer_that_would_make_cells_too_large_is_refused(layers, told) -> None:
+    with pytest.raises(InvalidMapError) as caught:
+        layers.grid(RADIUS)
+    assert str(caught.value).startswith(told)
+
+
+@pytest.mark.parametrize("radius", [0.03, 0.3, 3.0])
+def test_extent_of_a_floor_without_a_map_grows_with_the_sphere(radius) -> None:
+    scale = radius / RADIUS
+    grid = Layers(keepouts={1: scale * PILLAR}).grid(radius)
+    assert grid is not None and grid.resolution < 0.15 * radius
+    assert grid.resolution == pytest.approx(scale * Layers(keepouts={1: PILLAR}).grid(RADIUS)
+                                            .resolution)
+    for x, y in ((25.0, 0.0), (-25.0, 0.0), (0.0, 25.0), (0.0, -25.0)):
+        assert grid.contains(scale * np.array([x, y]))
+
+
+def test_number_of_areas_is_limited() -> None:
+    layers = Layers(HALL)
+    for number in range(1000):
+        layers = layers.with_keepout(number, PILLAR)
+    with pytest.raises(InvalidMapError, match="keepout 1000: given '1001 areas', expected at "):
+        layers.with_keepout(1000, PILLAR)
+    assert len(layers.with_keepout(7, ROOM).keepouts) == 1000, "another polygon of the same"
+    assert len(layers.with_keepout(7, None).with_keepout(1000, PILLAR).keepouts) == 1000
+
+
+def test_cells_are_computed_again_only_for_what_has_changed(monkeypatch) -> None:
+    entered: list[float] = []
+    monkeypatch.setattr(
+        "sphere_nmpc.floor.layers.touched_runs",
+        lambda grid, polygon: entered.append(float(polygon[0, 0])) or touched_runs(grid, polygon),
+    )
+    layers = Layers(keepouts={number: PILLAR + 0.01 * number for number in range(50)})
+    first = layers.grid(RADIUS)
+    assert len(entered) == 50
+    moved = layers.with_keepout(7, PILLAR + 1.0)
+    grid = moved.grid(RADIUS)
+    assert entered[50:] == [2.5], "on a floor of the same extent"
+    fresh = Layers(keepouts=moved.keepouts).grid(RADIUS)
+    np.testing.assert_array_equal(grid.occupied, fresh.occupied)
+    assert grid.origin == fresh.origin == first.origin
+    del entered[:]
+    assert moved.with_keepout(7, None).grid(RADIUS).occupied.any() and not entered
+    walled = replace(moved, map=HALL)
+    np.testing.assert_array_equal(
+        walled.grid(RADIUS).occupied, Layers(HALL, None, moved.keepouts).grid(RADIUS).occupied
+    )
+    np.testing.assert_array_equal(moved.grid(RADIUS).occupied, fresh.occupied)
+
+
 def map_file(folder: Path) -> Path:
     """Write a map of two cells, of which the first is free and the second is grey."""
     (folder / "hall.pgm").write_bytes(b"P5 2 1 255\n\xff\x80")
@@ -96,6 +164,9 @@ def test_settings_make_the_whole_floor(tmp_path) -> None:
         ({"floor": "[[0, 0], [1, 1]"}, "floor: given '[[0, 0], [1, 1]', expected corners such as"),
         ({"floor": "[[0, 0, 0], [1, 1, 1]]"}, "floor: given "),
         ({"floor": "7"}, "floor: given '7', expected corners such as"),
+        ({"floor": "[" * 100_000}, "floor: given '[[[[["),
+        ({"floor": f"[[0, 0], [1, 0], [1, 1{'0' * 400}]]"}, "floor: given '[[0, 0], [1, 0], ["),
+        ({"floor": "[" + "[0, 0], " * 50_000 + "]"}, "expected at most 320000 characters"),
         ({"floor": "[[0, 0], [1, 0], [1, NaN]]"}, "floor: given '3 corners', expected three or"),
         ({"floor": "[[0, 0], [1, 1], [1, 0], [0, 1]]"}, "floor: given 'edges 0 and 2 that cross'"),
         ({"clearance": -0.1}, "clearance: given -0.1, expected 0 to 100 [m]"),

@@ -3,6 +3,8 @@
 """Map files as map_server writes them, and those that cannot be used."""
 
 import math
+import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +114,15 @@ def test_wrong_entry_is_named(tmp_path, entries, told) -> None:
     assert told in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "image: [", "- image", "\x00", "a: !!python/object:x {}"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "image: [", "- image", "\x00", "a: !!python/object:x {}", "[" * 10_000,
+        f"resolution: 1{'0' * 400}\norigin: [0, 0, 0]\nimage: x", "#" * 20_000,
+        "a: &a [1, 1]\nb: &b [*a, *a]\nmode: [*b, *b]\n",
+    ],
+    ids=range(9),
+)
 def test_file_that_is_no_map_is_named(tmp_path, text) -> None:
     file = tmp_path / "hall.yaml"
     file.write_text(text)
@@ -133,3 +143,35 @@ def test_broken_image_is_refused(tmp_path, image) -> None:
 def test_image_with_too_many_cells_is_refused_before_it_is_read(tmp_path) -> None:
     with pytest.raises(InvalidMapError, match="20000 x 20000 cells"):
         read_map(written(tmp_path, b"P5 20000 20000 255\n"))
+
+
+def test_map_of_another_kind_of_file_is_refused_at_once(tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for wrong, kind in (("/dev/zero", "a device"), (str(tmp_path / "pipe"), "a pipe")):
+        with pytest.raises(InvalidMapError, match=f"^map file {wrong}: given '{kind}', expected"):
+            read_map(Path(wrong))
+        with pytest.raises(InvalidMapError, match=f"given 'image {wrong}: {kind}', expected a re"):
+            read_map(written(tmp_path, image=wrong))
+
+
+def test_image_in_another_format_is_refused(tmp_path) -> None:
+    pillow = pytest.importorskip("PIL.Image")
+    for name in ("hall.gif", "hall.ppm", "hall.tif", "hall.bmp"):
+        pillow.fromarray(LEVELS).convert("RGB").save(tmp_path / name)
+        with pytest.raises(InvalidMapError, match="expected a PGM or PNG file"):
+            read_map(written(tmp_path, image=name))
+
+
+def test_image_that_takes_long_to_be_read_is_refused(tmp_path) -> None:
+    image = b"P2 4000 4000 255\n" + b"0 " * 16_000_000
+    with pytest.raises(InvalidMapError, match="32000017 bytes in decimal numbers', expected at m"):
+        read_map(written(tmp_path, image))
+
+
+def test_map_that_no_node_could_use_is_refused(tmp_path) -> None:
+    for entries, told in (
+        ({"resolution": "1.0e-30"}, "given 'a resolution of 1e-30 m', expected a positive"),
+        ({"origin": [2e6, 0, 0]}, "given 'a corner at 2000000 m', expected all within 1e"),
+    ):
+        with pytest.raises(InvalidMapError, match=f"map file .*: {re.escape(told)}"):
+            read_map(written(tmp_path, **entries))

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sphere_nmpc.floor import occupancy
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon, grid_of_values
 from sphere_nmpc.model.state import Vector
@@ -52,7 +53,11 @@ def test_cells_are_occupied_from_the_threshold_on(threshold, first) -> None:
         ({"values": np.array([0, 0, 0, -2], np.int8)}, "given 'a value of -2', expected -1"),
         ({"origin": (0, 0, 0, 0.1, 0, 0, 1)}, "given 'an origin with roll or pitch', expected"),
         ({"origin": (0, 0, 0, 1, 0, 0, 0)}, "given 'an origin with roll or pitch', expected"),
+        ({"resolution": 1e-30}, "given 'a resolution of 1e-30 m', expected a positive number, 0"),
+        ({"resolution": 1e300}, "given 'a corner at 2e+300 m', expected all within 1e+06 m"),
         ({"origin": (0, math.nan, 0, 0, 0, 0, 1)}, "expected finite numbers"),
+        ({"origin": (2e6, 0, 0, 0, 0, 0, 1)}, "given 'a corner at 2000000 m', expected all with"),
+        ({"origin": (0, -1e6, 0, 0, 0, 1, 0)}, "given 'a corner at 1000000 m', expected all with"),
         ({"origin": (0, 0, 0, 0, 0, math.inf, 1)}, "expected finite numbers"),
     ],
 )
@@ -60,6 +65,10 @@ def test_bad_map_is_refused_with_what_was_given(changes, told) -> None:
     with pytest.raises(InvalidMapError) as caught:
         grid(np.zeros((2, 2)), **changes)
     assert told in str(caught.value)
+
+
+def test_finest_resolution_is_accepted_as_a_message_has_it() -> None:
+    assert grid(np.zeros((2, 2)), resolution=float(np.float32(1e-4))).occupied.shape == (2, 2)
 
 
 def test_heading_of_the_origin_need_not_be_a_unit_quaternion() -> None:
@@ -151,6 +160,7 @@ def test_polygon_beyond_the_grid_occupies_what_it_covers_of_it() -> None:
     [
         ([], "given '0 corners', expected three or more, finite, within 1e+06 m"),
         ([(0, 0), (1, 0)], "given '2 corners', expected three or more"),
+        ([(0, 0)] * 5001, "given '5001 corners', expected three to 5000"),
         ([(0, 0), (1, 0), (math.nan, 1)], "given '3 corners', expected three or more, finite"),
         ([(0, 0), (1, 0), (0, 2e6)], "given '3 corners', expected three or more, finite, within"),
         ([(0, 0), (1, 1), (3, 3)], "given 'an area of 0', expected a polygon with an area"),
@@ -176,3 +186,25 @@ def test_polygon_of_many_corners_is_checked_at_once() -> None:
     began = time.process_time()
     check_polygon("area", np.column_stack((np.cos(angles), np.sin(angles))).tolist())
     assert time.process_time() - began < 5.0, "it takes minutes pair by pair"
+
+
+def test_edges_that_cross_far_from_each_other_are_found() -> None:
+    low = np.column_stack((np.arange(1500.0), np.tile((0.0, 1.0), 750)))
+    high = low[::-1] + np.array([0.0, 3.0])
+    check_polygon("area", np.vstack((low, high)).tolist())
+    high[700:702, 1] = -1.0
+    with pytest.raises(InvalidMapError, match=r"edges 79[789] and 2[12][0-9][0-9] that cross"):
+        check_polygon("area", np.vstack((low, high)).tolist())
+    turned = np.vstack((low, high))[:, ::-1]
+    with pytest.raises(InvalidMapError, match=r"edges 79[789] and 2[12][0-9][0-9] that cross"):
+        check_polygon("area", turned.tolist())
+
+
+def test_polygon_is_entered_alike_in_a_few_rows_at_a_time(monkeypatch) -> None:
+    polygon = star(3, 40)
+    free = Grid(np.zeros((60, 70), dtype=bool), 0.1, (-3.0, -3.0, 0.2))
+    whole = free.with_obstacle(polygon).occupied, free.within(polygon).occupied
+    monkeypatch.setattr(occupancy, "_BLOCK", 50)
+    np.testing.assert_array_equal(free.with_obstacle(polygon).occupied, whole[0])
+    np.testing.assert_array_equal(free.within(polygon).occupied, whole[1])
+    assert 0 < np.count_nonzero(whole[0]) < whole[0].size

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node goes on after any error, with one line, for each kind of callback and both executors."""
 
+from concurrent.futures import Future
 from typing import Any
 
 import pytest
@@ -38,7 +39,12 @@ class Wanting(RunnableNode):
             self.create_subscription(PoseStamped, "raw", self._take_raw, 10, raw=True),
             self.create_timer(0.01, self._tick),
             self.create_service(SetBool, "switch", self._switch),
+            self.create_service(SetBool, "later", self._later),
+            self.create_subscription(
+                PoseStamped, "small", self._take, 10, largest=(100, "a short name")
+            ),
         ]
+        self.known: Future[bool] = Future()
 
     def work(self, executor: Executor) -> None:
         spin_for(executor, 0.01)
@@ -55,6 +61,12 @@ class Wanting(RunnableNode):
         self.ticks += 1
         if self.ticks < 10:
             raise KeyError("tick")
+
+    def _later(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        if request.data:
+            yield self.known
+        response.success = self.known.result(0.0)
+        return response
 
     def _switch(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         if not request.data:
@@ -132,3 +144,42 @@ def test_request_that_fails_is_answered_with_the_reason(graph, wanting, capfd) -
         "switch refused", "wanting/set_parameters refused",
         "wanting/set_parameters_atomically refused", "wanting/get_type_description refused",
     ]
+
+
+def test_answer_that_has_to_be_waited_for_holds_nothing_up(graph, wanting, capfd) -> None:
+    client = graph.probe.create_client(SetBool, "later")
+    graph.until(client.service_is_ready)
+    answers = [client.call_async(SetBool.Request(data=True)) for _ in range(2)]
+    ticks = wanting.ticks
+    graph.until(lambda: wanting.ticks > ticks + 20)
+    assert not any(answer.done() for answer in answers)
+    early = graph.call(SetBool, "later", SetBool.Request(data=False))
+    assert not early.success and early.message.startswith("TimeoutError")
+    wanting.known.set_result(True)
+    graph.until(lambda: all(answer.done() for answer in answers))
+    assert all(answer.result().success for answer in answers)
+    assert graph.call(SetBool, "later", SetBool.Request(data=True)).success
+    assert len([line for line in warnings(capfd) if line.startswith("later refused")]) == 1
+
+
+def test_answer_that_fails_after_a_wait_is_a_refusal(graph, wanting, capfd) -> None:
+    client = graph.probe.create_client(SetBool, "later")
+    graph.until(client.service_is_ready)
+    answer = client.call_async(SetBool.Request(data=True))
+    ticks = wanting.ticks
+    graph.until(lambda: wanting.ticks > ticks + 20)
+    wanting.known.set_exception(KeyError("nothing"))
+    graph.until(answer.done)
+    assert (answer.result().success, answer.result().message) == (False, "KeyError \"'nothing'\"")
+    assert any(line.startswith("later refused: KeyError") for line in warnings(capfd))
+
+
+def test_message_that_is_too_large_is_refused_before_it_is_read(graph, wanting, capfd) -> None:
+    publisher = graph.publisher(PoseStamped, "small")
+    large = pose(1)
+    large.header.frame_id = "x" * 1000
+    publisher.publish(large)
+    publisher.publish(pose(2))
+    graph.until(lambda: wanting.heard == [2])
+    (line,) = (line for line in warnings(capfd) if line.startswith("small refused"))
+    assert line == "small refused: small: given '1076 bytes', expected at most a short name"

@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Point32, PolygonInstanceStamped, PoseStamped
 from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,6 +21,7 @@ from standing import Standing
 from sphere_nmpc.model.state import Vector, upright_state
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
@@ -131,6 +133,22 @@ class Slow(Standing):
         return super().plan(situation)
 
 
+def map_that_takes_long(graph) -> None:
+    robot(graph, time.time)
+    changes = controller(graph)._floor_receiver._changes
+    make = changes._make
+
+    def slow(given: Any, in_force: Any) -> Any:
+        time.sleep(2.0)
+        return make(given, in_force)
+
+    changes._make = slow
+    sender = graph.probe.create_publisher(PolygonInstanceStamped, "keepout", LATCHED)
+    area = PolygonInstanceStamped()
+    area.polygon.polygon.points = [Point32(), Point32(x=1.0), Point32(y=1.0)]
+    sender.publish(area)
+
+
 def rate_beyond_the_machine(graph) -> None:
     robot(graph, time.time)
     node = controller(graph, control_rate=50.0)
@@ -169,6 +187,7 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     coarse_clock: ("controller", "clock that stamps them coarse"),
     bunches_that_are_stamped_when_passed_on: ("controller", "not where bunches of them"),
     frames_without_the_sphere: ("controller", "pose left out"),
+    map_that_takes_long: ("controller", "floor late"),
     rate_beyond_the_machine: ("controller", "missed samples"),
     lockstep_without_controller: ("simulator", "time waits"),
     controller_without_lockstep: ("simulator", "does not run in lockstep"),

@@ -152,6 +152,19 @@ def test_walls_that_come_and_go_leave_the_motion(name) -> None:
     assert plant.velocity[0] > 0.2
 
 
+def test_walls_that_cannot_be_made_leave_those_before(monkeypatch) -> None:
+    plant = plant_in("rigid_body", turned(0.3))
+    walls, model = plant.contact.walls, plant._model
+
+    def fail(*_: object) -> str:
+        raise ValueError("too many")
+
+    monkeypatch.setattr("sphere_sim.world.plant.rigid_body.rigid_body_plant.make_mjcf", fail)
+    with pytest.raises(ValueError, match="too many"):
+        plant.surround(None)
+    assert plant.contact.walls is walls and plant._model is model
+
+
 def test_contact_that_bounces_is_one() -> None:
     contact = Contact(turned(0.0), RADIUS)
     edge = HALF_SIDE - RADIUS

@@ -66,19 +66,17 @@ class RigidBodyPlant:
         self._robot = robot
         self._disturbances = DisturbanceSettings() if disturbances is None else disturbances
         self.contact = Contact(walls, self._radius)
-        self._compile()
+        self._compile(walls)
         self.reset(state)
 
-    def _compile(self) -> None:
-        """Make MuJoCo's model of robot, floor and walls, and its data."""
-        mjcf = make_mjcf(
-            self._robot, self._settings, self._disturbances, self._floor, self.contact.walls
-        )
-        self._model = self._mj.MjModel.from_xml_string(mjcf)
+    def _compile(self, walls: Walls | None) -> None:
+        """Make MuJoCo's model of robot, floor and walls, and its data; all of them or none."""
+        mjcf = make_mjcf(self._robot, self._settings, self._disturbances, self._floor, walls)
+        model = self._mj.MjModel.from_xml_string(mjcf)
         if self._floor is not None:
-            self._model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
-        self._data = self._mj.MjData(self._model)
-        self._workspace = self._mj.MjData(self._model)
+            model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
+        data, workspace = self._mj.MjData(model), self._mj.MjData(model)
+        self._model, self._data, self._workspace = model, data, workspace
 
     def reset(self, state: Vector) -> None:
         """Put the sphere at rest at `state`, shape (6,)."""
@@ -89,9 +87,9 @@ class RigidBodyPlant:
 
     def surround(self, walls: Walls | None) -> None:
         """Replace the walls; None where there are none."""
-        self.contact.surround(walls)
         before, gravity = self._data, self._model.opt.gravity.copy()
-        self._compile()
+        self._compile(walls)
+        self.contact.surround(walls)
         self._model.opt.gravity[:] = gravity
         for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
             getattr(self._data, name)[:] = getattr(before, name)

@@ -12,12 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point32, PolygonInstanceStamped
 from nav_msgs.msg import OccupancyGrid
+from patience import PATIENCE
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import values_of
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.ros import floor_receiver
 from sphere_nmpc.ros.controller.node import ControllerNode
@@ -280,7 +285,8 @@ def test_map_file_is_read_when_it_is_set_or_refused(graph, tmp_path) -> None:
         assert not result.successful and result.reason.startswith(f"map file {wrong}: given ")
     # The file of a change that is refused as a whole is not used with the next one.
     assert not floors.set(map_file="", clearance=-1.0).successful
-    assert floors.changes(lambda: floors.set(clearance=0.3)).grid is not kept.grid
+    kept = floors.changes(lambda: floors.set(clearance=0.3))
+    assert kept is not None and kept.grid.occupied.shape == (10, 20), "the map is still there"
     assert floors.changes(lambda: floors.set(map_file="")) is None
 
 
@@ -306,6 +312,169 @@ def test_floor_that_cannot_be_made_leaves_the_one_in_force(graph, capfd, monkeyp
     graph.unforeseen.clear()
     assert floors.floor is floor
     floors.changes(lambda: floors.maps.publish(map_message(info__resolution=0.3)))
+
+
+@pytest.mark.parametrize("kind", ["map", "keepout"])
+def test_change_that_fails_late_is_not_kept(graph, capfd, monkeypatch, kind) -> None:
+    floors = Floors(graph)
+    floors.changes(lambda: floors.maps.publish(map_message()))
+
+    def fail(floor: Floor) -> Floor:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Floor, "prepared", fail)
+        if kind == "map":
+            floors.maps.publish(map_message(info__resolution=0.2))
+        else:
+            floors.keepouts.publish(polygon_message(1, SQUARE))
+        graph.until(lambda: f"{kind} not in force" in capfd.readouterr().err)
+        result = floors.set(clearance=0.2)
+        assert not result.successful and "is there room in /" in result.reason
+    graph.unforeseen.clear()
+    assert floors.node.get_parameter("clearance").value == 0.03 == floors.floor.clearance
+    area = [(x + 1.0, y) for x, y in SQUARE]
+    floors.changes(lambda: floors.keepouts.publish(polygon_message(2, area)))
+    assert floors.distance(2.5, 1.5) == 0.0 and floors.distance(1.5, 1.5) > 0.0
+    grid = floors.floor.grid
+    assert grid.resolution * grid.occupied.shape[1] == pytest.approx(4.0), "the first map"
+    assert floors.set(clearance=0.1).successful and floors.floor.clearance == 0.1
+    assert floors.set(floor="[[0, 0], [2, 0], [2, 3], [0, 3]]").successful
+    assert floors.distance(2.2, 0.5) == 0.0
+
+
+@pytest.mark.parametrize(
+    "bad", [{"info__origin__position__x": 2e6}, {"info__resolution": 1e-30}], ids=str
+)
+def test_map_that_cannot_be_shown_is_refused_before_it_is_made(graph, bad) -> None:
+    floors = Floors(graph)
+    floors.maps.publish(map_message(**bad))
+    graph.until(lambda: floors.refused("map") == 1)
+    floors.changes(lambda: floors.keepouts.publish(polygon_message(1, SQUARE)))
+    assert floors.distance(1.5, 1.5) == 0.0
+
+
+def test_area_far_away_is_refused_and_does_not_spoil_a_near_one(graph, capfd) -> None:
+    floors = Floors(graph)
+    floor = floors.changes(lambda: floors.keepouts.publish(polygon_message(1, SQUARE)))
+    floors.keepouts.publish(polygon_message(2, [(x + 1e5, y + 1e5) for x, y in SQUARE]))
+    graph.until(lambda: floors.refused("keepout") == 1)
+    assert "keepout refused: keepout 2: given 'a floor of 1.0" in capfd.readouterr().err
+    assert floors.floor is floor and floors.distance(0.5, 1.5) > 0.4
+    floors.changes(lambda: floors.maps.publish(map_message()))
+    kept = floors.floor
+    floors.keepouts.publish(polygon_message(2, [(x + 1e5, y + 1e5) for x, y in SQUARE]))
+    floors.changes(lambda: floors.keepouts.publish(polygon_message(1, [])))
+    assert floors.distance(1.5, 1.5) > 1.0 and floors.floor is not kept
+    assert floors.refused("keepout") == 1, "beside the map it has no effect"
+
+
+def test_area_of_too_many_corners_is_refused_before_it_is_read(graph, capfd) -> None:
+    floors = Floors(graph)
+    floors.keepouts.publish(polygon_message(1, [(0.0, 0.0)] * 20_000))
+    graph.until(lambda: floors.refused("keepout") == 1)
+    told = "keepout refused: keepout: given '240036 bytes', expected at most 5000 corners"
+    assert told in capfd.readouterr().err
+    floors.changes(lambda: floors.keepouts.publish(polygon_message(1, SQUARE)))
+
+
+class Gate:
+    """Floors that are not made until it opens."""
+
+    def __init__(self, monkeypatch: Any) -> None:
+        self._open = threading.Event()
+        made = Floor.prepared
+
+        def prepared(floor: Floor) -> Floor:
+            assert self._open.wait(PATIENCE)
+            return made(floor)
+
+        monkeypatch.setattr(Floor, "prepared", prepared)
+
+    def open(self) -> None:
+        self._open.set()
+
+
+def asked(graph: Any, atomically: bool = False, **values: Any) -> Any:
+    """Return the future of the answer to a request to change parameters."""
+    kind, name = SetParameters, "set_parameters"
+    if atomically:
+        kind, name = SetParametersAtomically, "set_parameters_atomically"
+    client = graph.probe.create_client(kind, f"controller/{name}")
+    graph.until(client.service_is_ready)
+    parameters = [Parameter(key, value=value).to_parameter_msg() for key, value in values.items()]
+    return client.call_async(kind.Request(parameters=parameters))
+
+
+def test_request_is_answered_when_its_floor_is_in_force_and_the_node_goes_on(
+    graph, monkeypatch
+) -> None:
+    floors = Floors(graph)
+    statuses = graph.collect(DiagnosticStatus, "controller/status")
+    gate = Gate(monkeypatch)
+    answer = asked(graph, floor="[[0, 0], [2, 0], [2, 3], [0, 3]]", clearance=0.2)
+    graph.until(lambda: statuses and float(values_of(statuses[-1])["floor_pending_s"]) > 0.0)
+    seen = len(statuses)
+    graph.until(lambda: len(statuses) > seen + 3)
+    assert not answer.done() and floors.floor is None
+    assert floors.node.get_parameter("floor").value == ""
+    gate.open()
+    graph.until(answer.done)
+    assert [result.successful for result in answer.result().results] == [True, True]
+    assert floors.floor.clearance == 0.2 and floors.distance(2.5, 1.5) == 0.0
+    assert floors.node.get_parameter("clearance").value == 0.2
+    seen = len(statuses)
+    graph.until(lambda: float(values_of(statuses[-1])["floor_pending_s"]) == 0.0)
+
+
+def test_request_that_is_refused_in_part_or_late_is_not_in_force(graph, tmp_path) -> None:
+    floors = Floors(graph)
+    edge = "[[0, 0], [2, 0], [2, 3], [0, 3]]"
+    answer = asked(graph, atomically=True, floor=edge, control_rate=-1.0)
+    graph.until(answer.done)
+    refused = answer.result().result
+    assert not refused.successful and "control_rate" in refused.reason
+    assert floors.floor is None and floors.node.get_parameter("floor").value == ""
+    os.mkfifo(tmp_path / "pipe")
+    answer = asked(graph, map_file=str(tmp_path / "pipe"), clearance=0.1, floor=7)
+    graph.until(answer.done)
+    file, clearance, other = answer.result().results
+    assert not file.successful and "given 'a pipe', expected a regular file" in file.reason
+    assert clearance.successful and not other.successful
+    answer = asked(graph, atomically=True, floor=edge, clearance=0.3)
+    graph.until(answer.done)
+    assert answer.result().result.successful and floors.floor.clearance == 0.3
+    assert floors.distance(2.5, 1.5) == 0.0
+
+
+def test_requests_that_overlap_are_each_answered(graph, monkeypatch) -> None:
+    floors = Floors(graph)
+    gate = Gate(monkeypatch)
+    answers = [
+        asked(graph, floor="[[0, 0], [2, 0], [2, 3], [0, 3]]"), asked(graph, clearance=0.2),
+        asked(graph, floor="[[0, 0], [1, 1]]"), asked(graph, clearance=0.1),
+    ]
+    floors.keepouts.publish(polygon_message(1, SQUARE))
+    graph.spin_for(0.2)
+    gate.open()
+    graph.until(lambda: all(answer.done() for answer in answers))
+    given = [answer.result().results[0].successful for answer in answers]
+    assert given == [True, True, False, True]
+    graph.until(lambda: floors.distance(1.5, 1.5) == 0.0)
+    assert floors.floor.clearance == floors.node.get_parameter("clearance").value
+    assert floors.distance(2.5, 1.5) == 0.0
+
+
+def test_end_does_not_wait_for_a_floor_that_is_being_made(graph, monkeypatch) -> None:
+    floors = Floors(graph)
+    gate = Gate(monkeypatch)
+    floors.maps.publish(map_message())
+    graph.until(lambda: floors.node._floor_receiver.pending > 0.0)
+    graph.remove(floors.node)
+    (thread,) = (one for one in threading.enumerate() if one.name == "floor")
+    assert thread.daemon, "neither does the interpreter"
+    gate.open()
+    thread.join(PATIENCE)
 
 
 def test_thread_has_no_part_in_the_priority_of_the_control_loop(graph, monkeypatch) -> None:

@@ -339,6 +339,24 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert robot.status()["goal_count"] == "2", "the goals in force stay"
 
 
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [(501, "given '501 goals', expected at most 500; the goal in force stays"),
+     (20_000, "given '1440028 bytes', expected at most 500 goals")],
+)
+def test_list_that_takes_long_to_be_read_is_refused(robot, capfd, number, told) -> None:
+    robot.send_goal()
+    sender = robot.graph.publisher(Goals, "goals")
+    robot.graph.until(lambda: sender.get_subscription_count() > 0)
+    sender.publish(Goals(goals=[pose_to_ros(CASE.start, 0, 0.3, "")] * number))
+    printed = ""
+    while "goals refused" not in printed:
+        robot.pass_time(0.1)
+        printed += capfd.readouterr().err
+    assert f"goals refused: goals: {told}" in printed
+    assert robot.status()["goal_count"] == "1"
+
+
 def test_status_and_diagnostics_are_published_while_time_stands_still(robot) -> None:
     reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.send_goal()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import OccupancyGrid
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray
@@ -72,6 +73,28 @@ def test_map_makes_walls_that_are_touched_once_and_told(graph, capfd, plant) -> 
     graph.until(counted)
     lines = [line for line in capfd.readouterr().err.splitlines() if "wall touched" in line]
     assert len(lines) == 1 and "1 contacts so far" in lines[0]
+
+
+def test_change_of_walls_is_answered_when_they_stand_or_refused(graph) -> None:
+    node = simulator(graph)
+    for edge, radius in (("[[-1, -1], [1, -1], [1, 1], [-1, 1]]", 0.7), ("[[0, 0], [1, 1]]", 0.7)):
+        value = Parameter("floor", value=edge).to_parameter_msg()
+        request = SetParameters.Request(parameters=[value])
+        (result,) = graph.call(SetParameters, "simulator/set_parameters", request).results
+        assert result.successful is (len(edge) > 20)
+        assert clearance(node) == pytest.approx(radius, abs=0.03)
+
+
+@pytest.mark.parametrize("bad", [(2e6, 0.1), (0.0, 1e-30), (0.0, 1e30)])
+def test_map_that_the_controller_refuses_is_refused_here_too(graph, bad) -> None:
+    node = simulator(graph)
+    maps = graph.probe.create_publisher(OccupancyGrid, "map", LATCHED)
+    message = room(1.8)
+    message.info.origin.position.x, message.info.resolution = bad
+    maps.publish(message)
+    graph.until(lambda: node._fault_log.counts["map refused"] == 1)
+    maps.publish(room(1.8))
+    graph.until(lambda: clearance(node) == pytest.approx(0.6, abs=0.01))
 
 
 def test_map_file_makes_walls_from_the_start(graph, tmp_path) -> None:

@@ -1,0 +1,47 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Content of files that a user names, read in bounded time and memory whatever they are."""
+
+import os
+import stat
+from pathlib import Path
+
+from sphere_nmpc.errors import InvalidValueError
+
+_KINDS = {
+    stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
+}
+
+
+class InvalidFileError(InvalidValueError):
+    """File that is none with a content of its own, such as a pipe, or is too large."""
+
+
+def read_file(path: Path, most_bytes: int) -> bytes:
+    """Return the content of a regular file of at most so many bytes.
+
+    `InvalidFileError` is raised for any other file, and `OSError` where there is none that can be
+    read.
+    """
+    # Before it is opened, which is an action for some devices ...
+    _check(path, os.stat(path), most_bytes)
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with open(descriptor, "rb") as file:
+        # ... and afterwards, as it may be another one by now; without O_NONBLOCK, a pipe without
+        # a writer could not be opened at all.
+        _check(path, os.fstat(descriptor), most_bytes)
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise InvalidFileError(str(path), "a file that grows", f"at most {most_bytes} bytes")
+    return content
+
+
+def _check(path: Path, found: os.stat_result, most_bytes: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        raise InvalidFileError(str(path), kind, "a regular file")
+    if found.st_size > most_bytes:
+        raise InvalidFileError(
+            str(path), f"{found.st_size} bytes", f"at most {most_bytes} bytes"
+        )

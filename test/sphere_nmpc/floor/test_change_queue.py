@@ -1,0 +1,195 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes that are made in a thread: each whole or not at all, and none for long unnoticed."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+from patience import PATIENCE
+
+from sphere_nmpc.floor.change_queue import ChangeQueue, Request
+
+Given = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Made:
+    given: Given
+    parts: int = 0
+
+
+class Words:
+    """Queue of words, of which some cannot be made, others not be used."""
+
+    def __init__(self) -> None:
+        self.made: list[Given] = []
+        self.refused: list[tuple[str, str]] = []
+        self.used: list[Given] = []
+        self.gate = threading.Event()
+        self.gate.set()
+        self.queue: ChangeQueue[Given, Made] = ChangeQueue(
+            Made(()), self._make, self._use, lambda request, error: self.refused.append(
+                (request.name, str(error))
+            )
+        )
+
+    def _make(self, given: Given, in_force: Made) -> Made:
+        assert self.gate.wait(PATIENCE)
+        self.made.append(given)
+        if "late" in given:
+            raise OSError("no space")
+        return Made(given, in_force.parts + 1)
+
+    def _use(self, made: Made, took: float) -> None:
+        assert took >= 0.0
+        if "useless" in made.given:
+            raise ValueError("of no use")
+        self.used.append(made.given)
+
+    def say(self, word: str, key: str = "") -> None:
+        self.queue.submit(key or word, self.request(word))
+
+    def request(self, word: str) -> Request[Given]:
+        def change(given: Given) -> Given:
+            if word == "early":
+                raise ValueError("no word")
+            return (*given, word)
+
+        return Request(word, change)
+
+    def finish(self) -> Given:
+        """Return the words in force when nothing is left to be made."""
+        end = time.monotonic() + PATIENCE
+        while self.queue.look():
+            assert time.monotonic() < end
+            time.sleep(1e-3)
+        return self.queue.in_force.given
+
+
+@pytest.fixture
+def words() -> Iterator[Words]:
+    found = Words()
+    yield found
+    found.gate.set()
+
+
+def test_all_that_wait_are_made_together(words) -> None:
+    words.gate.clear()
+    for word in ("a", "b", "c", "d"):
+        words.say(word)
+    words.gate.set()
+    assert words.finish() == ("a", "b", "c", "d")
+    assert words.made == [("a",), ("a", "b", "c", "d")] == words.used
+
+
+def test_newer_change_takes_the_place_of_the_one_that_waits(words) -> None:
+    words.gate.clear()
+    words.say("first")
+    for number in range(1000):
+        words.say(f"moved {number}", key="area")
+        words.say("other")
+    assert len(words.queue._waiting) == 2
+    words.gate.set()
+    assert words.finish() == ("first", "moved 999", "other")
+    assert len(words.made) == 2
+
+
+@pytest.mark.parametrize("bad", ["early", "late", "useless"])
+def test_what_cannot_be_made_is_refused_and_spoils_nothing_after_it(words, bad) -> None:
+    words.say("a")
+    words.finish()
+    words.say(bad)
+    assert words.finish() == ("a",)
+    words.say("b")
+    assert words.finish() == ("a", "b")
+    assert [name for name, _ in words.refused] == [bad]
+
+
+@pytest.mark.parametrize("bad", ["early", "late"])
+def test_what_cannot_be_made_is_refused_alone_among_others(words, bad) -> None:
+    words.gate.clear()
+    for word in ("a", "b", bad, "c"):
+        words.say(word)
+    words.gate.set()
+    assert words.finish() == ("a", "b", "c")
+    assert [name for name, _ in words.refused] == [bad]
+
+
+def put(answer: Future[Callable[[], object]]) -> None:
+    answer.result(0.0)()
+
+
+def test_change_that_is_prepared_is_in_force_when_who_asked_says_so(words) -> None:
+    answer = words.queue.prepare(words.request("a"))
+    assert words.finish() == () and answer.done()
+    answer = words.queue.prepare(words.request("b"))
+    answer.add_done_callback(put)
+    assert words.finish() == ("b",), "the one before was left"
+    words.gate.clear()
+    words.say("c")
+    answer = words.queue.prepare(words.request("d"))
+    answer.add_done_callback(put)
+    words.say("e")
+    words.gate.set()
+    assert words.finish() == ("b", "c", "d", "e") and not words.refused
+
+
+def test_change_that_is_awaited_is_made_after_those_before_it(words) -> None:
+    words.say("a")
+    words.say("late")
+    answer = words.queue.prepare(words.request("b"), is_awaited=True)
+    put(answer)
+    assert words.queue.in_force.given == ("a", "b") == words.finish()
+    for bad in ("early", "late"):
+        answer = words.queue.prepare(words.request(bad), is_awaited=True)
+        assert isinstance(answer.exception(0.0), (ValueError, OSError))
+    assert [name for name, _ in words.refused] == ["late"], "others are answered"
+    words.say("c")
+    assert words.finish() == ("a", "b", "c")
+
+
+def test_age_is_that_of_the_oldest_change_that_is_not_in_force(words) -> None:
+    assert words.queue.oldest() is None
+    words.gate.clear()
+    words.say("a")
+    words.say("b")
+    oldest = words.queue.oldest()
+    assert oldest is not None and oldest.name == "a"
+    since = next(iter(words.queue._waiting.values())).since
+    words.say("c", key="b")
+    assert next(iter(words.queue._waiting.values())).since == since, "it waits as long as b did"
+    words.gate.set()
+    words.finish()
+    assert words.queue.oldest() is None
+
+
+def test_end_does_not_wait_and_answers(words) -> None:
+    words.gate.clear()
+    words.say("a")
+    answer = words.queue.prepare(words.request("b"))
+    (thread,) = (one for one in threading.enumerate() if one.name == "floor")
+    assert thread.daemon, "the interpreter does not wait for it"
+    words.queue.close(ValueError("it ends"))
+    assert str(answer.exception(0.0)) == "it ends" and not words.queue.look()
+    words.gate.set()
+    thread.join(PATIENCE)
+    assert words.finish() == ()
+
+
+def test_error_of_the_thread_itself_is_not_lost(words, monkeypatch) -> None:
+    def fail(*_: Any) -> Any:
+        raise MemoryError("none left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(words.queue, "_outcome", fail)
+        words.say("a")
+        with pytest.raises(MemoryError):
+            words.finish()
+    words.say("b")
+    assert words.finish() == ("b",)
+    assert replace(words.queue.in_force, parts=0) == Made(("b",))

@@ -159,6 +159,7 @@ def test_floor_is_shown_until_it_is_free_and_an_invalid_one_leaves_it(graph, sou
     assert (floor.resolution, *floor.origin) == pytest.approx((0.5, 1.0, -2.0, 0.25))
     invalid = OccupancyGrid()
     invalid.info.width = invalid.info.height = 2
+    invalid.info.resolution = 0.5
     floors.publish(invalid)
     graph.until(lambda: any("floor refused: map: given '0 values'" in it
                             for it in newest(source).alerts))

@@ -271,7 +271,8 @@ class Controller:
         if not (np.abs(speeds) <= _OVERSPEED * self._robot.max_rotor_speed).all():
             return
         try:
-            self.rotor_feedback.observe(time, speeds, self._estimator.plant.lag)
+            # A negative one is of stamps alone.
+            self.rotor_feedback.observe(time, speeds, max(0.0, self._estimator.plant.lag))
         except Exception as error:
             # As in `decide`; without measured speeds commands count as followed as they were sent.
             self._record(error)

@@ -11,6 +11,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.events import (
     Event,
@@ -22,8 +23,6 @@ from sphere_nmpc.estimation.interval import Interval
 from sphere_nmpc.estimation.motion import Motion
 from sphere_nmpc.estimation.unknowns import (
     COMMON,
-    DISTURBANCE,
-    IMBALANCE,
     KNOT,
     LOCAL,
     NORMAL,
@@ -85,39 +84,27 @@ class Prior:
             self, information=0.5 * (information + information.T), gradient=gradient
         )
 
-    def renewed(self, mean: Vector, deviations: Vector) -> "Prior":
-        """Return it with other common unknowns, independent ones, shape (9,), and the same pose.
+    def forgetting(
+        self, places: NDArray[np.intp], values: Vector, variances: Vector
+    ) -> "Prior":
+        """Return it with some local unknowns, at `places`, that have other values and variances.
 
-        Momentum and slope are zero, but for their deviations, the first five of shape (14,).
+        What it knew of them is dropped, and with it what depended on them. Poses, the first five,
+        are always kept.
         """
-        kept = np.linalg.inv(self.information)[POSE_ERROR, POSE_ERROR]
-        covariance = np.zeros((LOCAL, LOCAL))
-        covariance[POSE_ERROR, POSE_ERROR] = kept
-        covariance[5:, 5:] = np.diag(deviations**2)
-        moved: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
-        knot = apply_knot_error(self.knot, moved[:KNOT])
-        knot[MOMENTUM.start :] = 0.0
-        return Prior.of(knot, mean, covariance, self.scale)
-
-    def undisturbed(self, variances: Vector) -> "Prior":
-        """Return it with momentum, slope and imbalance that are zero, with variances, shape (8,).
-
-        What it knew of them is dropped, and with it what depended on them.
-        """
-        kept = np.setdiff1d(np.arange(LOCAL), DISTURBANCE)
-        across = self.information[np.ix_(kept, DISTURBANCE)]
-        gain = np.linalg.solve(self.information[np.ix_(DISTURBANCE, DISTURBANCE)], across.T).T
+        kept = np.setdiff1d(np.arange(LOCAL), places)
+        across = self.information[np.ix_(kept, places)]
+        gain = np.linalg.solve(self.information[np.ix_(places, places)], across.T).T
         information, gradient = np.zeros((LOCAL, LOCAL)), np.zeros(LOCAL)
-        information[DISTURBANCE, DISTURBANCE] = 1.0 / variances
-        information[np.ix_(kept, kept)] = (
-            self.information[np.ix_(kept, kept)] - gain @ across.T
-        )
-        gradient[kept] = self.gradient[kept] - gain @ self.gradient[DISTURBANCE]
-        knot, common = self.knot.copy(), self.common.copy()
-        knot[MOMENTUM.start :] = common[IMBALANCE] = 0.0
+        information[places, places] = 1.0 / variances
+        reduced = self.information[np.ix_(kept, kept)] - gain @ across.T
+        information[np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
+        gradient[kept] = self.gradient[kept] - gain @ self.gradient[places]
+        known = np.concatenate((self.knot[MOMENTUM.start :], self.common))
+        known[places - 5] = values
+        knot = np.concatenate((self.knot[POSE], known[: KNOT - 5]))
         return replace(
-            self, knot=knot, common=common, information=0.5 * (information + information.T),
-            gradient=gradient,
+            self, knot=knot, common=known[KNOT - 5 :], information=information, gradient=gradient
         )
 
 

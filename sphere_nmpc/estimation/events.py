@@ -128,14 +128,18 @@ class Hypothesis:
         """Return -2 log of the probability of the events."""
         count = self.events.count
         # Jumps of a sphere at rest look like a slope for a while.
-        events = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
-        slips, known = count(Event.SLIPPED), int(self.slippery or Event.SLIPPED not in self.events)
-        others = self.unbalanced + self.torques + self.renewed + (self.weak and not self.weakened)
-        others += 2 * sum(noise > 0.0 for noise in self.pose_noise)
-        late, drives = count(Event.LATE), int(self.weak and self.weakened)
-        others += int(late > 0)
-        likely = slips - 1 + known + max(0, late - 1) + drives
-        return numbers.rare * (events + others + 1 - known) + numbers.again * likely
+        rare = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
+        rare += self.unbalanced + self.torques + self.renewed
+        rare += 2 * sum(noise > 0.0 for noise in self.pose_noise)
+        again = 0
+        for times, was_known in (
+            (count(Event.SLIPPED), self.slippery), (count(Event.LATE), False),
+            (int(self.weak), self.weakened),
+        ):
+            first = int(times > 0 and not was_known)
+            rare += first
+            again += times - first
+        return numbers.rare * rare + numbers.again * again
 
     def extended(self, slippery: bool) -> "Hypothesis":
         """Return the hypothesis with another interval without an event."""
@@ -165,8 +169,8 @@ class Hypothesis:
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
         """Return hypotheses that differ in one respect, with the interval of which the event does.
 
-        Events are changed in the newest `recent` intervals; without `momentum` only those that
-        leave none are possible.
+        In place of events, noise of the poses may explain all of them. Events are changed in the
+        newest `recent` intervals; without `momentum` only those that leave none are possible.
         """
         events, found = self.events, []
         for i in range(max(0, len(events) - recent), len(events)):

@@ -27,6 +27,7 @@ from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.estimation.unknowns import (
     COMMON,
+    DISTURBANCE,
     IMBALANCE,
     KNOT,
     LOCAL,
@@ -90,6 +91,7 @@ class MovingHorizon:
         self._hypothesis = Hypothesis(
             unbalanced=known.unbalanced,
             weak=known.weak,
+            weakened=known.weak,
             disturbed=not known.undisturbed,
             pose_noise=known.pose_noise,
         )
@@ -149,12 +151,12 @@ class MovingHorizon:
         """Return the prior, of which a hypothesis may believe less; `first` is its interval."""
         known, numbers, scaling = self._hypothesis, self._numbers, self._scaling
         prior, factor = self._prior, np.zeros((LOCAL, LOCAL))
+        deviations = np.concatenate((np.full(5, TIGHT), scaling.deviations))
         if hypothesis.renewed:
-            deviations = np.concatenate((np.full(5, TIGHT), scaling.deviations))
-            prior = prior.renewed(self._initial(prior.common), deviations)
+            values = np.concatenate((np.zeros(5), self._initial(prior.common)))
+            prior = prior.forgetting(np.arange(5, LOCAL), values, deviations**2)
         elif known.begins_disturbed and not hypothesis.begins_disturbed:
-            variances = np.repeat([TIGHT, numbers.imbalance], [5, 3]) ** 2
-            prior = prior.undisturbed(variances)
+            prior = prior.forgetting(DISTURBANCE, np.zeros(8), deviations[DISTURBANCE - 5] ** 2)
         if hypothesis.pose_noise != known.pose_noise:
             # The pose at its knot was measured, too.
             before, after = (

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
-from floors import DOORWAY, RADIUS, floor_of, least_distance, pose
+from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.control.controller import Controller

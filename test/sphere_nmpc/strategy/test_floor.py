@@ -10,7 +10,7 @@ import weakref
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
-from floors import DOORWAY, RADIUS, floor_of, least_distance, pose
+from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor

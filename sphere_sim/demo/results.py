@@ -88,7 +88,8 @@ def write_results(plan: DemoPlan, arrived: bool, console: Console, hints: str = 
         error = figures[plan.strategy]["final_error"]
         print(
             f"demo: not at the goal after {run.times[-1]:.1f} s: error {error:.3g}, "
-            f"expected below {plan.tolerance:g}" + (f"; {hints}" if hints else ""),
+            f"expected below {plan.tolerance:g} for a sample period"
+            + (f"; {hints}" if hints else ""),
             file=sys.stderr,
         )
 

@@ -204,6 +204,7 @@ class TimeOptimalStrategy:
         other     the rotors cannot hold the momentum at the goal         Saturated
         Holding   the error is within the dead band or `leaving_error`    Holding
         other     the sphere rests within the dead band                   Holding
+        Following the plan has ended within `leaving_error`               Holding
         other     a search has found a plan                               Following
         other                                                             Searching
         ========= ======================================================= ==========
@@ -212,9 +213,10 @@ class TimeOptimalStrategy:
         dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
         error = state_error(situation.state, goal)
         found, is_fruitless = self._found(situation, dead_band, deadline)
-        ended = isinstance(state, Following) and state.leads_to(situation)
+        ended = False
         if isinstance(state, Following):
-            plan = state.aimed_at(situation) if state.leads_to(situation) else state
+            ended = state.leads_to(situation)
+            plan = state.aimed_at(situation) if ended else state
             kept = plan.solved_again(situation, dead_band, deadline)
             if kept is not None and is_fruitless:
                 kept = dataclasses.replace(kept, fruitless=kept.fruitless + 1)

@@ -129,14 +129,11 @@ class Hypothesis:
         count = self.events.count
         # Jumps of a sphere at rest look like a slope for a while.
         rare = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
-        rare += self.unbalanced + self.torques + self.renewed
+        rare += self.unbalanced + self.torques + self.renewed + (self.weak and not self.weakened)
         rare += 2 * sum(noise > 0.0 for noise in self.pose_noise)
         again = 0
-        for times, was_known in (
-            (count(Event.SLIPPED), self.slippery), (count(Event.LATE), False),
-            (int(self.weak), self.weakened),
-        ):
-            first = int(times > 0 and not was_known)
+        for times, known in ((count(Event.SLIPPED), self.slippery), (count(Event.LATE), False)):
+            first = int(times > 0 and not known)
             rare += first
             again += times - first
         return numbers.rare * rare + numbers.again * again

@@ -335,9 +335,10 @@ class Estimator:
         """Return the interval from `since` [s] to the last of its poses, with some of them."""
         end, numbers = poses[-1][0], self._numbers
         used = poses[-1:]
+        # Poses in quick succession tell little more, and a long interval is to take no longer.
+        apart = numbers.pose_spacing * max(1.0, 0.5 * (end - since) / numbers.spacing)
         for one in reversed(poses[:-1]):
-            # Poses in quick succession tell little more.
-            if min(used[0][0] - one[0], one[0] - since) > numbers.pose_spacing - _SAME:
+            if min(used[0][0] - one[0], one[0] - since) > apart - _SAME:
                 used.insert(0, one)
         after, measured = zip(*used, strict=True)
         # A pose with an early stamp shows the effect of speeds sent after that.

@@ -89,6 +89,8 @@ class HeldGoal:
                 situation.disturbance.imbalance, self._direction, unloading, found_none
             )
             return np.concatenate((goal[:2], self._unloading))
+        if self._settings.is_small(situation):
+            return goal  # what may be an error of the estimate is no reason to leave
         if end is None:
             end = self._expected(situation, holding)
         found = holdable_goal(goal, end, situation.disturbance)

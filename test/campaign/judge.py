@@ -285,9 +285,10 @@ class Judge:
     def floor(self, raw: bytes) -> None:
         """Take the floor that the controller has in force."""
         grid = None
-        with suppress(InvalidMapError):  # of no cells
-            grid = map_of_message(raw, "world")(1.0, False)
-        self.contacts.floor(grid)
+        with suppress(InvalidInputError):  # sent in the fuzzing, not by the controller
+            with suppress(InvalidMapError):  # of no cells
+                grid = map_of_message(raw, "world")(1.0, False)
+            self.contacts.floor(grid)
 
     def confirmed(self, raw: bytes) -> None:
         """Take the goal in force, as far as it can be read."""

@@ -112,7 +112,9 @@ class MovingHorizon:
     def observe(self, interval: Interval, time: float) -> None:
         """Take an interval that ends at control time `time` [s] into account."""
         try:
-            self._take(interval, time)
+            # The fit of a hypothesis that is far from so may diverge; it is then not chosen.
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._take(interval, time)
         except Exception:
             # The state at the end of this interval remains unknown but for its pose.
             self.start_at(time, interval.poses[-1])

@@ -8,6 +8,7 @@ from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.estimation.estimator import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_nmpc.settings import ControllerSettings
@@ -26,8 +27,6 @@ _ENOUGH = 20
 """Gaps from which on something is told about them."""
 _SHARE = 0.2
 """Share of the gaps that has to be wrong for it."""
-_SHORT = 0.1
-"""Gap over the mean of all [-] below which poses come in bunches."""
 _INEXACT = 2e-3
 """Standard deviation of the stamps from which on it is told [s]: 1.5 mm at the full speed of the
 robot of Table 1."""
@@ -130,7 +129,8 @@ class StampWatch:
         gaps = np.array(self._gaps) if len(self._gaps) >= _ENOUGH else np.empty(0)
         count = max(1, gaps.size)
         mean = float(np.sum(gaps)) / count
-        same, close = (float(np.sum(gaps <= most)) / count for most in (0.0, _SHORT * mean))
+        short = SHORT_GAP * mean
+        same, close = (float(np.sum(gaps <= most)) / count for most in (0.0, short))
         if same > _SHARE:
             return (
                 f"given {100.0 * same:.0f} % of the poses with the same stamp as the one before, "
@@ -139,7 +139,7 @@ class StampWatch:
             )
         if close > _SHARE:
             return (
-                f"given {100.0 * close:.0f} % of the poses less than {1e3 * _SHORT * mean:.2g} ms "
+                f"given {100.0 * close:.0f} % of the poses less than {1e3 * short:.2g} ms "
                 f"after the one before, at {1.0 / mean:.3g} Hz, expected the times of "
                 "measurement: poses are stamped where they are measured, not where bunches of "
                 "them are passed on"

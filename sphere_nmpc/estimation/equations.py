@@ -178,7 +178,7 @@ class Linearisation:
         self.cost = float(away @ (self.by_prior + prior.gradient))
         self.cost -= float(np.linalg.slogdet(prior.information)[1])
         covariances = [
-            one.pose_covariances(noise, self._pose_deviations, self.scaling)
+            self.scaling.pose_covariance(noise, self._pose_deviations, one.rates)
             for one in self.motions
         ]
         at_end = np.array([one[-1] for one in covariances])

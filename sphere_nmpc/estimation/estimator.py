@@ -29,8 +29,10 @@ from sphere_nmpc.worker.in_line import InLine
 _KEY = "estimator"
 _SAME = 1e-9
 """Time [s] below which two are the same."""
-_FEWEST, _SHORT_GAP = 3, 0.1
-"""Poses from which their mean spacing is taken, and share of it below which two are of a bunch."""
+SHORT_GAP = 0.1
+"""Share of the mean spacing of poses [-] below which two are of a bunch ..."""
+_FEWEST = 3
+"""... and how many poses that is taken from at least."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -180,7 +182,7 @@ class Estimator:
         if len(poses) < _FEWEST or poses[-1][0] == self._knot:
             return False
         mean = (poses[-1][0] - poses[0][0]) / (len(poses) - 1)
-        return time - poses[-1][0] < _SHORT_GAP * mean
+        return time - poses[-1][0] < SHORT_GAP * mean
 
     def estimate(self, time: float) -> Estimate | None:
         """Return the estimate at control time `time` [s]; None without a pose.

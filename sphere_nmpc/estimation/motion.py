@@ -14,7 +14,6 @@ from sphere_nmpc.estimation.unknowns import (
     LAG,
     LOCAL,
     SHARE,
-    PoseNoise,
     Scaling,
     disturbance_of,
 )
@@ -61,13 +60,6 @@ class Motion:
     by_pose: Vector
     rates: Vector
     turned: float
-
-    def pose_covariances(self, noise: PoseNoise, given: Vector, scaling: Scaling) -> Vector:
-        """Return the covariances of poses measured at the start and at the M poses, (M + 1, 5, 5).
-
-        `noise` comes beside the deviations `given`, shape (5,) [m, rad].
-        """
-        return scaling.pose_covariance(noise, given, self.rates)
 
 
 def pose_rate(

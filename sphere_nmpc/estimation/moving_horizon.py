@@ -162,7 +162,7 @@ class MovingHorizon:
         if hypothesis.pose_noise != known.pose_noise:
             # The pose at its knot was measured, too.
             before, after = (
-                first.motion.pose_covariances(noise, self._pose_deviations, scaling)[0]
+                scaling.pose_covariance(noise, self._pose_deviations, first.motion.rates[0])
                 for noise in (known.pose_noise, hypothesis.pose_noise)
             )
             variances, axes = np.linalg.eigh(after - before)
@@ -179,9 +179,9 @@ class MovingHorizon:
         by, numbers = newest.motion.by_unknowns[:5].copy(), self._numbers
         by[:, KNOT:][:, self._hypothesis.fixed] = 0.0
         expected = by @ self.result.covariance @ by.T
-        expected += newest.motion.pose_covariances(
-            self.result.pose_noise, self._pose_deviations, self._scaling
-        )[-1]
+        expected += self._scaling.pose_covariance(
+            self.result.pose_noise, self._pose_deviations, newest.motion.rates[-1]
+        )
         expected += self._scale * noise_variance(newest.motion.turned, numbers) * np.eye(5)
         error = error_between(newest.motion.end[POSE], newest.interval.poses[-1])
         steps = np.sum(fit.equations.whitened[-numbers.recent :] ** 2, axis=1)

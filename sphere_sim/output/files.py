@@ -5,6 +5,7 @@
 import contextlib
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from sphere_nmpc.errors import SphereNmpcError
@@ -41,10 +42,21 @@ def write_atomically(path: Path, content: bytes | memoryview | str) -> None:
     The complete content is needed in memory: libraries that write a file themselves leave an
     incomplete one on a full disk, and raise errors that do not name it, as OSError here does.
     """
+    with replacing(path, content):
+        pass
+
+
+@contextlib.contextmanager
+def replacing(path: Path, content: bytes | memoryview | str) -> Iterator[None]:
+    """Write a file beside its previous version, which it replaces unless the block raises.
+
+    What cannot be written is known before the block begins; errors are those of OSError.
+    """
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         temporary.write_bytes(data)
+        yield
         os.replace(temporary, path)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None

@@ -36,13 +36,15 @@ def one_line_reason(error: Exception) -> str:
 class BagFiles:
     """Storage files of a bag, in the order in which they were written.
 
-    `described` says whether metadata.yaml, or the user, names them as one bag; `custom_data` is
-    that in metadata.yaml, and `notes` are messages for users on what is missing or ignored.
+    `described` says whether metadata.yaml, or the user, names them as one bag; `custom_data` and
+    `message_count` are those in metadata.yaml, None where it does not count just these files, and
+    `notes` are messages for users on what is missing or ignored.
     """
 
     files: list[Path]
     described: bool = False
     custom_data: dict[str, str] = field(default_factory=dict)
+    message_count: Any = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -144,6 +146,7 @@ def _describe(
     if unlisted:
         found.notes.append(f"{', '.join(unlisted)} was ignored: {METADATA} does not list it")
     found.files, found.described = files, True
+    found.message_count = None if missing else information.get("message_count")
     found.custom_data = custom_data(information)
 
 

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from sphere_nmpc import __version__
-from sphere_sim.output.files import write_atomically
+from sphere_sim.output.files import replacing
 from sphere_sim.recording.bag_files import METADATA, BagError
 from sphere_sim.recording.mcap_writer import McapWriter
 
@@ -127,10 +127,11 @@ class BagWriter:
             If the disk is full or fails; the bag then has the content of the commit before.
         """
         information = self._information()
-        self._file.commit(information)
-        indented = textwrap.indent(information, "  ")
+        text = f"rosbag2_bagfile_information:\n{textwrap.indent(information, '  ')}\n"
         try:
-            write_atomically(self.folder / METADATA, f"rosbag2_bagfile_information:\n{indented}\n")
+            # Both or neither: on a full disk there may be space for one of them alone.
+            with replacing(self.folder / METADATA, text):
+                self._file.commit(information)
         except OSError as error:
             raise BagError(self.folder, f"cannot be written: {error.strerror}") from error
 

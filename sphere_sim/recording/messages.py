@@ -19,7 +19,9 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
+from sphere_nmpc.foreign_text import shown
 from sphere_sim.recording.bag_files import (
+    METADATA,
     BagError,
     custom_data,
     find_files,
@@ -92,6 +94,12 @@ def read_messages(path: Path, selects: TopicFilter) -> Messages:
             messages.notes.append(f"{file.name} {problem}{read}")
             messages.truncated = True
     messages.custom_data.update(bag.custom_data)
+    if not messages.truncated and bag.message_count not in (None, reader.count):
+        # As after a full disk; tools that show metadata.yaml alone do not know.
+        messages.notes.append(
+            f"{METADATA} counts {shown(bag.message_count)} messages, the storage has "
+            f"{reader.count}: all of these are read"
+        )
     if messages.truncated and not messages.types:
         problems = "; ".join(messages.notes)
         raise BagError(path, f"nothing can be read of it: {problems}")
@@ -160,8 +168,9 @@ class _StorageReader:
         with file.open("rb") as stream:
             try:
                 for record in StreamReader(stream, validate_crcs=True).records:
-                    if isinstance(record, Message) and record.channel_id in channels:
-                        self._add(*channels[record.channel_id], record.log_time, record.data)
+                    if isinstance(record, Message):
+                        channel = channels.get(record.channel_id, ("", False))
+                        self._add(*channel, record.log_time, record.data)
                     elif isinstance(record, Schema):
                         schemas[record.id] = record
                     elif isinstance(record, Channel) and record.schema_id in schemas:

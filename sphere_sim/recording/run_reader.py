@@ -10,7 +10,6 @@ import dataclasses
 import json
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -352,14 +351,17 @@ class _TopicReader:
         """Return the floors that the controller reported, clearances of plans, and contacts."""
         found: list[tuple[float, Grid | None]] = []
         for topic in self._topics("/floor"):
-            given = self._messages.decoded[topic]
-            before = len(found)
-            for received, message in given:
+            invalid = []
+            for received, message in self._messages.decoded[topic]:
                 time = self._clock.time_of_message(stamp_of(message), received, latched=True)
-                with suppress(InvalidMapError):
+                try:
                     found.append((time, floor_of(message)))
-            if invalid := len(given) - len(found) + before:
-                self._notes.append(f"{topic}: {invalid} invalid floors were ignored")
+                except InvalidMapError as error:
+                    invalid.append(str(error))
+            if invalid:
+                self._notes.append(
+                    f"{topic}: {len(invalid)} invalid floors were ignored; {invalid[0]}"
+                )
         found.sort(key=lambda entry: entry[0])
         reports = [(time, number(values, CLEARANCE)) for time, values in self._statuses()
                    if CLEARANCE in values]

@@ -30,6 +30,19 @@ def test_files_are_read_as_metadata_lists_them(tmp_path) -> None:
     assert 190 < len(run.times) < 210 and run.metrics() is not None
 
 
+def test_metadata_that_counts_other_messages_than_the_files_have_is_told(tmp_path) -> None:
+    bag = write_own(tmp_path / "bag", run_messages())
+    metadata = bag / "metadata.yaml"
+    text = metadata.read_text()
+    count = sum(1 for _ in run_messages())
+    metadata.write_text(text.replace(f"message_count: {count}", "message_count: 17"))
+    run = read_run(bag)
+    assert run.notes == (
+        f"metadata.yaml counts 17 messages, the storage has {count}: all of these are read",
+    )
+    assert len(run.times) == 301
+
+
 def test_files_of_several_bags_are_refused_and_one_is_read(tmp_path) -> None:
     # Some of these characters have a meaning in the addresses of databases.
     bag = write_rosbag2(tmp_path / "mine", run_messages(), "sqlite3", parts=12)

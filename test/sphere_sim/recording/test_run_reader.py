@@ -257,9 +257,14 @@ def test_floor_is_in_force_from_its_time_until_it_is_free(tmp_path) -> None:
         edit = lambda message: vars(message.info).update(info)  # noqa: E731
         return changed(entries[0], log=seconds * 10**9, stamp=seconds * 10**9, edit=edit)
 
-    free, invalid = another(4, width=0, height=0), another(3, resolution=-1.0)
-    run = read_run(write_own(tmp_path / "bag", in_order(*entries, invalid, free)))
-    assert "/controller/floor: 1 invalid floors were ignored" in run.notes
+    free, fine = another(4, width=0, height=0), another(3, resolution=1e-30)
+    invalid = [fine, *(another(3, resolution=it) for it in (1e30, 0.0, np.nan, -0.1)),
+               another(3, width=2**31), another(3, width=39), another(3, height=0)]
+    run = read_run(write_own(tmp_path / "bag", in_order(*entries, *invalid, free)))
+    assert (
+        "/controller/floor: 8 invalid floors were ignored; map: given 'a resolution of 1e-30 m', "
+        "expected a positive number, 0.0001 or more"
+    ) in run.notes
     assert run.floors.at(-0.1) is None and run.floors.at(3.0) is None
     grid = run.floors.at(2.5)
     assert grid.occupied.shape == (40, 40) and grid.origin == pytest.approx((2, -2, np.pi / 2))

@@ -113,3 +113,17 @@ def test_full_disk_ends_the_recording_with_one_line_and_a_readable_bag(bag) -> N
     recorded.session.write([(2, FLAG, TRUE)])
     recorded.session.stop()
     assert stamps(restarted) == [2]
+
+
+@pytest.mark.parametrize("end", ["commit", "stop"])
+def test_metadata_that_cannot_be_written_leaves_the_messages_that_it_counts(bag, end) -> None:
+    recorded = Recorded(bag)
+    recorded.session.start()
+    recorded.session.write([(1, FLAG, TRUE)])
+    recorded.session.commit()
+    (bag / ".metadata.part.yaml").mkdir()
+    recorded.session.write([(2, FLAG, TRUE)])
+    getattr(recorded.session, end)()
+    assert len(recorded.failures) == 1 and "cannot be written" in recorded.failures[0]
+    with Reader(bag) as reader:
+        assert reader.message_count == len(stamps(bag)) == 1

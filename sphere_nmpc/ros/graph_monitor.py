@@ -5,19 +5,21 @@
 import math
 import re
 import time
-from collections.abc import Sequence, Set
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from itertools import product
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.network import network_addresses, reaches_other_machines
 
-_CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
 UNKNOWN = "a node without a name"
@@ -76,25 +78,25 @@ class GraphMonitor:
             if now > self._since[fault.kind] + NAMED_WITHIN
         })
 
-    def publishers(self, topic: str) -> list[str]:
-        """Return the full names of the nodes that publish a topic, one for each endpoint."""
-        return [full_name(info) for info in self._node.get_publishers_info_by_topic(topic)]
+    def publishers(self, topic: str, kind: type) -> list[str]:
+        """Return the full names of the nodes that publish messages of a type, one an endpoint."""
+        return [full_name(info) for info in publishers_of(self._node, topic, kind)]
 
-    def known_publishers(self, topic: str) -> list[str]:
-        """Return the full names of the nodes that publish a topic, once their names are known."""
-        return [name for name in self.publishers(topic) if name not in (UNKNOWN, INVALID)]
+    def known_publishers(self, topic: str, kind: type) -> list[str]:
+        """Return the names that `publishers` returns, once they are known."""
+        return [name for name in self.publishers(topic, kind) if name not in (UNKNOWN, INVALID)]
 
     def further_publishers(self, clocked: bool) -> list[GraphFault]:
         """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
         pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))
-        clocks = self.publishers(clock) if clocked else []
-        return further_publishers(pose, self.publishers(pose), clock, clocks)
+        clocks = self.publishers(clock, Clock) if clocked else []
+        return further_publishers(pose, self.publishers(pose, PoseStamped), clock, clocks)
 
     def clock_topics(self) -> list[str]:
         """Return the topics on which a clock is published."""
         return [
             topic for topic, kinds in self._node.get_topic_names_and_types()
-            if _CLOCK_TYPE in kinds and _NAME.fullmatch(topic)
+            if type_name(Clock) in kinds and _NAME.fullmatch(topic)
             and self._node.count_publishers(topic) > 0
         ]
 
@@ -103,14 +105,21 @@ class GraphMonitor:
         node, own = self._node, self._node.get_fully_qualified_name()
         topics = {end.topic_name for end in node.subscriptions}
         topics |= {end.topic_name for end in node.publishers}
+        wanted = {end.topic_name: type_name(end.msg_type) for end in node.subscriptions}
         found = {}
         for topic in sorted(topics - _OF_EVERY_NODE):
             # From the graph: a node's own profiles leave open what the middleware decides.
             publishers = node.get_publishers_info_by_topic(topic)
             subscribers = node.get_subscriptions_info_by_topic(topic) if publishers else []
+            # Where some messages pass, those of another type do no harm.
+            if topic in wanted and wanted[topic] not in {it.topic_type for it in publishers}:
+                found |= {fault.kind: fault for fault in other_types(
+                    topic, wanted[topic], publishers)}
             for publisher, subscriber in product(publishers, subscribers):
                 ends = {full_name(publisher), full_name(subscriber)}
-                if own not in ends or topic in found:
+                if own not in ends or topic in found or publisher.topic_type != (
+                    subscriber.topic_type
+                ):
                     continue
                 fit, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
                 if fit == QoSCompatibility.ERROR:
@@ -123,6 +132,36 @@ class GraphMonitor:
                         severe=False,
                     )
         return list(found.values())
+
+
+def type_name(kind: type) -> str:
+    """Return the name of a message type as the graph has it."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def publishers_of(node: Node, topic: str, kind: type) -> list[TopicEndpointInfo]:
+    """Return the publishers of a topic whose messages a subscription of this type can receive."""
+    return [info for info in node.get_publishers_info_by_topic(topic)
+            if info.topic_type == type_name(kind)]
+
+
+def other_types(
+    topic: str, expected: str, publishers: Sequence[TopicEndpointInfo]
+) -> list[GraphFault]:
+    """Return the fault of publishers of a topic that send another type than that expected."""
+    others = [info for info in publishers if info.topic_type != expected]
+    if not others:
+        return []
+    given = ", ".join(sorted({shown(info.topic_type)[1:-1] for info in others}))
+    return [
+        GraphFault(
+            f"other type on {topic}",
+            f"given a publisher of {topic} of type {given} ({names_of(map(full_name, others))}), "
+            f"expected {expected}; its messages are not received: remap one side, "
+            f"-r {topic}:=/its/topic",
+            severe=False,
+        )
+    ]
 
 
 def full_name(info: TopicEndpointInfo) -> str:
@@ -160,10 +199,11 @@ def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[Gr
     ]
 
 
-def names_of(nodes: Sequence[str]) -> str:
+def names_of(nodes: Iterable[str]) -> str:
     """Return the names of nodes for a message, a few of them if there are many."""
-    more = ["..."] if len(nodes) > _MOST_NAMES else []
-    return ", ".join([*sorted(nodes)[:_MOST_NAMES], *more])
+    names = sorted(nodes)
+    more = ["..."] if len(names) > _MOST_NAMES else []
+    return ", ".join([*names[:_MOST_NAMES], *more])
 
 
 def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:

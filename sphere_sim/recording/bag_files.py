@@ -15,6 +15,9 @@ from sphere_nmpc.foreign_text import printable_line, shown
 METADATA = "metadata.yaml"
 PARAMETERS_PREFIX = "parameters:"
 """Custom data under this prefix and a node's full name hold the node's parameters as JSON."""
+TOPICS_PREFIX = "topics:"
+"""Custom data under this prefix and a namespace has the full names of topics there as JSON, by
+their names before any remapping."""
 _ZSTD = ".zstd"
 _SUFFIXES = (".mcap", ".db3")
 _EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"

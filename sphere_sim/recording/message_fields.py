@@ -21,6 +21,8 @@ _MOST_GOALS = 1e6
 """Largest number of goals that is believed."""
 CLEARANCE = "clearance_m"
 """Key of the least distance between the sphere on its planned path and what is occupied [m]."""
+POSE_TOPIC = "pose_topic"
+"""Key of the full name of the topic from which the controller has its poses."""
 CONTACTS = ": commands", "wall touched"
 """End of the name of a simulator's status in diagnostics, and key of its contacts so far."""
 HOLDING = "holding"

@@ -39,14 +39,16 @@ KNOWN_TYPES = {
     "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",
     "rotor_commands": "std_msgs/msg/Float64MultiArray",
     "controller/active_goal": "geometry_msgs/msg/PoseStamped",
+    "controller/status": "diagnostic_msgs/msg/DiagnosticStatus",
+    "controller/floor": "nav_msgs/msg/OccupancyGrid",
     "simulator/pushed": "geometry_msgs/msg/Vector3Stamped",
     "/clock": "rosgraph_msgs/msg/Clock",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 """Types of topics that are subscribed to before they have a publisher, so that their first
-messages are not missed."""
+messages are not missed; messages of another type on these topics are of another sender."""
 
-LATCHED = ("controller/active_goal",)
+LATCHED = ("controller/active_goal", "controller/floor")
 """Topics among these whose publisher keeps the last message for late subscribers."""
 
 

@@ -58,8 +58,12 @@ class Graph:
         self._executor.add_node(self.probe)
         self._nodes: list[Node] = [self.probe]
         self._busy: dict[RunnableNode, SingleThreadedExecutor] = {}
+        self._apart: list[Node] = []
 
     def close(self) -> None:
+        for node in self._apart:
+            node.destroy_node()
+            node.context.try_shutdown()
         for node in self._nodes:
             node.destroy_node()
         for executor in (self._executor, *self._busy.values()):
@@ -107,6 +111,13 @@ class Graph:
         publisher = self.probe.create_publisher(kind, topic, 10)
         self.until(lambda: publisher.get_subscription_count() > 0)
         return publisher
+
+    def publisher_apart(self, kind: type, topic: str, qos: QoSProfile | int = 10) -> Any:
+        """Return a publisher in a participant of its own: each knows one type of a topic."""
+        context = rclpy.Context()
+        rclpy.init(context=context)
+        self._apart.append(Node("localiser", context=context))
+        return self._apart[-1].create_publisher(kind, topic, qos)
 
     def call(self, kind: type, name: str, request: Any) -> Any:
         """Return the answer of a service."""

@@ -7,7 +7,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.timing import MissedSamples
@@ -35,7 +38,8 @@ class ControllerMonitor:
     def __init__(self, node: Node, fault_log: FaultLog) -> None:
         self._fault_log = fault_log
         self._graph = GraphMonitor(node, fault_log)
-        self._pose_topic = node.resolve_topic_name("pose")
+        self.pose_topic = node.resolve_topic_name("pose")
+        """Full name of the topic of the poses."""
         self._clock_topic = node.resolve_topic_name("/clock")
         self._command_topic = node.resolve_topic_name("rotor_trajectory")
         self.time = math.nan
@@ -52,7 +56,8 @@ class ControllerMonitor:
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
         self._incompatible: list[GraphFault] = []
-        self._compared_at = -math.inf
+        # Until then a publisher of another type may be the only one that has been discovered.
+        self._compared_at = self._pose_seen_at + SILENCE_LIMIT - _COMPARE_EVERY
         self._pose_received = False
 
     @property
@@ -100,21 +105,21 @@ class ControllerMonitor:
         if self._pose_received:
             self._pose_received, self._pose_seen_at = False, wall
         # All topics are searched only where the clock that is followed has no publisher.
-        clocks = graph.publishers(self._clock_topic)
+        clocks = graph.publishers(self._clock_topic, Clock)
         others = graph.clock_topics() if follows_clock and not clocks else []
         found = find_faults(
             GraphState(
                 follows_clock, self.time, wall - self._time_changed_at, wall - self._pose_seen_at,
                 self._pose_age, pose_timeout, clocks,
-                graph.publishers(self._pose_topic), self._clock_topic, self._pose_topic, others,
-                self._has_stamp,
+                graph.publishers(self.pose_topic, PoseStamped), self._clock_topic,
+                self.pose_topic, others, self._has_stamp,
             )
         )
         inexact = self.stamps.fault()
         if inexact:
             found.append(GraphFault("inexact stamps", inexact, severe=False))
         found += self._missed_samples(wall)
-        senders = graph.publishers(self._command_topic)
+        senders = graph.publishers(self._command_topic, JointTrajectory)
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
         )
@@ -125,7 +130,7 @@ class ControllerMonitor:
             ))
         if wall >= self._compared_at + _COMPARE_EVERY:
             self._compared_at, self._incompatible = wall, graph.incompatible()
-        if any(fault.kind.endswith(f" {self._pose_topic}") for fault in self._incompatible):
+        if any(fault.kind.endswith(f" {self.pose_topic}") for fault in self._incompatible):
             found = [fault for fault in found if fault.kind != _NO_POSE]
         graph.update([*self._incompatible, *found, *further])
 
@@ -235,12 +240,19 @@ def _wrong_clock(seen: GraphState) -> tuple[str, str] | None:
             "measurement on this node's clock; the program that publishes them has to set "
             "header.stamp"
         )
+    kind = "wrong clock"
     remedy = "synchronise the clocks of the machines (chrony), or raise pose_timeout"
     if not seen.follows_clock and age > _OTHER_CLOCK_AGE:
         remedy = "they are in simulated time: start this node with -p use_sim_time:=true"
+        if not seen.clocks:  # with it, this node would wait for a clock for ever
+            kind = "unknown clock"
+            remedy = (
+                f"nothing publishes {seen.clock_topic}, so that it is no simulated time: the "
+                "program that publishes them has to set header.stamp by the system clock"
+            )
     elif seen.follows_clock and age < -_OTHER_CLOCK_AGE:
         remedy = "they are on the system clock: start this node with -p use_sim_time:=false"
-    return "wrong clock", (
+    return kind, (
         f"given poses with stamps {abs(age):.3g} s {'behind' if age > 0.0 else 'ahead of'} this "
         f"node's clock, expected at most {seen.pose_timeout:g} s; {remedy}"
     )

@@ -176,7 +176,10 @@ class ControllerReports:
             message = f"{found[0].kind}: {found[0].message}"
             level = ERROR if found[0].severe else max(level, WARN)
         self._status_at = perf_counter()
-        values = {**values, "floor_pending_s": self._floor_pending()}
+        values = {
+            **values, "floor_pending_s": self._floor_pending(),
+            "pose_topic": self._monitor.pose_topic,
+        }
         self._status.publish(status(self._name, level, message, values))
 
     def _publish_arrival(self) -> None:

@@ -11,6 +11,7 @@ Parameters: ``output``, ``topics``, ``record_on_start``, ``commit_period``.
 Services: ``~/start``, ``~/stop``, ``~/is_recording`` (std_srvs/Trigger).
 """
 
+import json
 import time
 from collections.abc import Sequence
 from importlib import import_module
@@ -18,6 +19,7 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
@@ -27,16 +29,25 @@ from rclpy.subscription import Subscription
 from rosbags.interfaces import Qos
 from std_srvs.srv import Trigger
 
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.ros.graph_monitor import INVALID, UNKNOWN, GraphMonitor, full_name
+from sphere_nmpc.ros.graph_monitor import (
+    INVALID,
+    UNKNOWN,
+    GraphMonitor,
+    full_name,
+    other_types,
+    publishers_of,
+)
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_sim.recording.bag_files import BagError
+from sphere_nmpc.ros.messages import message_object
+from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
+from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.recorder_settings import (
     DEFAULT_TOPICS,
     KNOWN_TYPES,
     LATCHED,
     RecorderSettings,
-    absolute,
     matches_any,
 )
 from sphere_sim.recording.session import RecordingSession
@@ -44,6 +55,7 @@ from sphere_sim.ros.recorder.surroundings import (
     MissingTopics,
     ParameterSnapshots,
     compatible_qos,
+    full_name_of_topic,
     is_latched,
     qos_for_bag,
 )
@@ -82,6 +94,8 @@ class RecorderNode(RunnableNode):
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._subscriptions_by_topic: dict[str, TopicSubscription] = {}
         self._inbox: list[tuple[int, str, bytes]] = []
+        self._named: dict[str, str] = {}
+        self._status = b""
         self._snapshots = ParameterSnapshots(self)
         self._session = RecordingSession(
             settings.output,
@@ -95,6 +109,7 @@ class RecorderNode(RunnableNode):
         for name, msgtype in KNOWN_TYPES.items():
             topic = self._full_name(name)
             if matches_any(topic, self._patterns):
+                self._named[name] = topic
                 self._subscribe(topic, msgtype, compatible_qos((), name in LATCHED))
         if settings.record_on_start:
             self._start()
@@ -131,34 +146,60 @@ class RecorderNode(RunnableNode):
         return [self._full_name(topic) for topic in topics]
 
     def _full_name(self, topic: str) -> str:
-        """Return the full name of a topic or pattern; /clock is remapped in a namespace."""
-        return self._clock_topic if topic == "/clock" else absolute(topic, self.get_namespace())
+        return full_name_of_topic(self, topic)
 
     def _offered_qos(self, topic: str) -> list[Qos]:
-        publishers = self.get_publishers_info_by_topic(topic)
-        return [qos_for_bag(publisher.qos_profile) for publisher in publishers]
+        entry = self._subscriptions_by_topic[topic]
+        return [qos_for_bag(it.qos_profile)
+                for it in publishers_of(self, topic, entry.message_class)]
+
+    def _custom_data(self) -> dict[str, str]:
+        """Return what the bag says of the run: parameters of nodes, and its topics by name."""
+        key = f"{TOPICS_PREFIX}{self.get_namespace()}"
+        return {**self._snapshots.custom_data(), key: json.dumps(self._named)}
+
+    def _follow_controller(self) -> None:
+        """Record the poses that the controller says it receives, where it has them remapped."""
+        status, self._status = self._status, b""
+        if not status or "pose" not in self._named:
+            return
+        try:
+            pairs = message_object(status, DiagnosticStatus).values
+        except InvalidInputError:
+            return  # it is recorded all the same
+        topic = next((pair.value for pair in pairs if pair.key == POSE_TOPIC), "")
+        if topic not in ("", self._named["pose"]):
+            self._named["pose"] = topic
+            self._patterns.append(topic)
+            self._subscribe(topic, KNOWN_TYPES["pose"], compatible_qos(()))
 
     def _discover(self) -> None:
         """Subscribe to new topics, and adapt subscriptions to what the publishers offer."""
         own = self.get_fully_qualified_name()
+        self._follow_controller()
         # A recording with a second clock or pose publisher has no meaningful metrics.
         further = self._monitor.further_publishers(clocked=self._uses_sim_time)
-        self._monitor.update(self._missing.faults() + further)
         for topic, msgtypes in self.get_topic_names_and_types():
             if not matches_any(topic, self._patterns):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if not publishers:
                 continue
-            msgtype = publishers[0].topic_type if len(msgtypes) > 1 else msgtypes[0]
-            offered = [publisher.qos_profile for publisher in publishers]
-            self._subscribe(topic, msgtype, compatible_qos(offered))
+            entry = self._subscriptions_by_topic.get(topic)
+            # It stays, as a bag has one type of a topic.
+            msgtype = entry.made_for[0] if entry else next(filter(_message_class, msgtypes), "")
+            further += other_types(topic, msgtype or msgtypes[0], publishers)
+            offered = [it.qos_profile for it in publishers if it.topic_type == msgtype]
+            if not offered and entry:
+                continue
+            self._subscribe(topic, msgtype or msgtypes[0], compatible_qos(offered))
             self._session.add_to_bag(topic)
             for publisher in publishers:
                 node = full_name(publisher)
                 if node not in (own, UNKNOWN, INVALID):
                     self._snapshots.request(node)
-        self._session.add_custom_data(self._snapshots.custom_data())
+        self._monitor.update(self._missing.faults() + further)
+        self._session.add_custom_data(self._custom_data())
 
     def _subscribe(self, topic: str, msgtype: str, qos: QoSProfile) -> None:
         existing = self._subscriptions_by_topic.get(topic)
@@ -195,11 +236,13 @@ class RecorderNode(RunnableNode):
                 while (taken := handle.take_message(entry.message_class, True)) is not None:
                     self._inbox.append((taken[1]["received_timestamp"], topic, bytes(taken[0])))
         inbox, self._inbox = self._inbox, []
+        status = self._named.get("controller/status")
+        self._status = next((it for *_, topic, it in inbox if topic == status), self._status)
         self._session.write(inbox)
 
     def _start(self) -> str:
         folder = self._session.start()
-        self._session.add_custom_data(self._snapshots.custom_data())
+        self._session.add_custom_data(self._custom_data())
         self.get_logger().info(f"recording to {folder}")
         return str(folder)
 

@@ -70,6 +70,14 @@ def qos_for_bag(profile: QoSProfile) -> Qos:
     )
 
 
+def full_name_of_topic(node: Node, name: str) -> str:
+    """Return the full name of a topic or pattern as a node remaps it; patterns stay."""
+    try:
+        return str(node.resolve_topic_name(name))
+    except RuntimeError:  # the error of rclpy for what is no name
+        return absolute(name, node.get_namespace())
+
+
 class ParameterSnapshots:
     """Parameters of other nodes, requested by `node` once from each without waiting."""
 
@@ -141,7 +149,7 @@ class MissingTopics:
         if not self._awaited:
             return []
         node = self._node
-        wanted = [absolute(name, node.get_namespace()) for name in self._names]
+        wanted = [full_name_of_topic(node, name) for name in self._names]
         published = [
             topic for topic, _ in node.get_topic_names_and_types() if node.count_publishers(topic)
         ]

@@ -28,10 +28,16 @@ class ControllerStatus:
         self.values: Mapping[str, str] = {}
         """Values of the newest one; empty before the first."""
         self.progress = ReportedProgress()
-        self.topic = node.create_subscription(
+        self._subscription = node.create_subscription(
             DiagnosticStatus, "controller/status", self._take, 1
-        ).topic_name
+        )
+        self.topic = self._subscription.topic_name
         """Full name of the topic."""
+
+    @property
+    def publishers(self) -> int:
+        """Number of publishers whose messages arrive."""
+        return self._subscription.get_publisher_count()
 
     @property
     def mode(self) -> str:

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.graph_monitor import type_name
 from sphere_nmpc.ros.messages import stamp_text, stamp_to_ros
 from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_messages import GoalMessage
@@ -61,8 +62,8 @@ class GoalSender:
             number = self._publisher.get_subscription_count()
             raise GoalNotAcceptedError(
                 f"no controller was ready within {timeout:g} s: {number} subscribers of {topic}, "
-                f"{self._node.count_publishers(self.status.topic)} publishers of "
-                f"{self.status.topic}; is one running in this namespace and domain?"
+                f"{self.status.publishers} publishers of {self.status.topic}; is one running in "
+                "this namespace and domain?"
             )
 
     def send(self, message: GoalMessage, timeout: float, repeat: float = math.inf) -> None:
@@ -100,5 +101,6 @@ class GoalSender:
 
     def _is_matched(self) -> bool:
         matched = self._publisher.get_subscription_count()
-        known = self._node.count_subscribers(self._publisher.topic_name)
+        found = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        known = sum(info.topic_type == type_name(self._publisher.msg_type) for info in found)
         return matched >= max(1, known) and self.status.count > 0

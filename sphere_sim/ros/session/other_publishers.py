@@ -9,18 +9,31 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import rclpy
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.graph_monitor import NAMED_WITHIN, UNKNOWN, full_name, names_of
+from sphere_nmpc.ros.graph_monitor import (
+    NAMED_WITHIN,
+    UNKNOWN,
+    full_name,
+    names_of,
+    publishers_of,
+)
 from sphere_nmpc.ros.network import DOMAIN, apply_localhost_only
 from sphere_nmpc.ros.startup import start_ros
 
-TOPICS = ("clock", "pose", "rotor_trajectory", "rotor_commands")
-"""Topics that have one publisher in each namespace."""
+TOPICS = {
+    "clock": Clock, "pose": PoseStamped, "rotor_trajectory": JointTrajectory,
+    "rotor_commands": Float64MultiArray,
+}
+"""Topics that have one publisher in each namespace, with their types."""
 _SEARCHES = {True: (0.6,), False: (0.4,) * 5}
 """Duration of each search [s], over the loopback alone (True) and otherwise (False).
 
@@ -47,7 +60,7 @@ class DomainInUseError(SphereNmpcError):
         )
 
 
-def find_publishers(namespace: str = "/", topics: Sequence[str] = TOPICS) -> list[str]:
+def find_publishers(namespace: str = "/", topics: Iterable[str] = TOPICS) -> list[str]:
     """Return the full names of the nodes in this domain that publish topics of a robot.
 
     rclpy must not be in use.
@@ -56,7 +69,7 @@ def find_publishers(namespace: str = "/", topics: Sequence[str] = TOPICS) -> lis
     return next(filter(None, (_search(namespace, topics, seconds) for seconds in searches)), [])
 
 
-def _search(namespace: str, topics: Sequence[str], seconds: float) -> list[str]:
+def _search(namespace: str, topics: Iterable[str], seconds: float) -> list[str]:
     start_ros([], quiet=True)
     try:
         node = rclpy.create_node("search", namespace=namespace, start_parameter_services=False)
@@ -86,12 +99,12 @@ def require_sole_publishers(node: Node) -> None:
         raise DomainInUseError(_names(crowded))
 
 
-def publishers(node: Node, topics: Sequence[str] = TOPICS) -> dict[str, list[str]]:
+def publishers(node: Node, topics: Iterable[str] = TOPICS) -> dict[str, list[str]]:
     """Return for each topic the full names of the nodes that publish it, one an endpoint."""
     return {
         topic: [
             full_name(info)
-            for info in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+            for info in publishers_of(node, topic, TOPICS[topic])
         ]
         for topic in topics
     }
@@ -113,7 +126,7 @@ def main(argv: Sequence[str]) -> int:
     """Print the names in one line for ``NAMESPACE TOPIC ...``; return `FOUND`, or 0 for none."""
     parser = argparse.ArgumentParser(description="Print the nodes that publish topics of a robot.")
     parser.add_argument("namespace")
-    parser.add_argument("topics", nargs="+")
+    parser.add_argument("topics", nargs="+", choices=TOPICS)
     given = parser.parse_args(argv)
     try:
         nodes = find_publishers(given.namespace, given.topics)

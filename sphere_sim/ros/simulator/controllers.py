@@ -67,7 +67,7 @@ class Controllers:
 
     def why_silent(self, waited: float) -> str:
         """Return why no command came within `waited` [s, wall] in lockstep, and the remedy."""
-        if not self._node.count_publishers("rotor_trajectory"):
+        if not self._senders():
             return "its sender has ended: start the controller again"
         if self.free_running:
             name = min(self.free_running)

@@ -19,6 +19,7 @@ from rclpy.executors import Executor
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
@@ -27,7 +28,7 @@ from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
-from sphere_nmpc.ros.graph_monitor import GraphFault, GraphMonitor
+from sphere_nmpc.ros.graph_monitor import GraphFault, GraphMonitor, publishers_of
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import BODY_FRAME
@@ -103,7 +104,8 @@ class SimulatorNode(RunnableNode):
         self._monitor = GraphMonitor(self, self._fault_log)
         commands = self.resolve_topic_name("rotor_trajectory")
         self._controllers = Controllers(
-            self, lambda: self._monitor.known_publishers(commands), settings.lockstep
+            self, lambda: self._monitor.known_publishers(commands, JointTrajectory),
+            settings.lockstep,
         )
         self._controller_found = self._period_told = False
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
@@ -163,7 +165,8 @@ class SimulatorNode(RunnableNode):
             )
         self._spin(executor, min(wait, _REPEAT_EVERY))
         if wait >= _REPEAT_EVERY and time.monotonic() > self._published_at + _REPEAT_EVERY:
-            self._controller_found |= self.count_publishers("rotor_trajectory") > 0
+            senders = publishers_of(self, "rotor_trajectory", JointTrajectory)
+            self._controller_found |= bool(senders)
             if self._simulated_clock.awaited is not None and not self._controller_found:
                 self._fault_log.report(
                     "lockstep", "given no publisher of rotor_trajectory, expected one; time waits"
@@ -208,7 +211,7 @@ class SimulatorNode(RunnableNode):
 
     def _command_received(self, stamp: int) -> None:
         awaited = self._simulated_clock.awaited is not None
-        if awaited and not self._period_told and self.count_publishers("control_period") > 0:
+        if awaited and not self._period_told and publishers_of(self, "control_period", Float64):
             return  # the next instant is not known yet; the command is sent again with the pose
         self._simulated_clock.command_received(stamp, time.monotonic())
 

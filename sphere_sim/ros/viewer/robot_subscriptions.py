@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.floor.occupancy import InvalidMapError
+from sphere_nmpc.ros.graph_monitor import publishers_of
 from sphere_nmpc.ros.messages import (
     framed_pose_from_ros,
     joint_states_from_ros,
@@ -72,7 +73,8 @@ class RobotSubscriptions:
 
     def newest(self) -> Frame:
         """Return the newest frame."""
-        return self._live.take(time.monotonic(), self._node.count_publishers(_STATUS))
+        controllers = publishers_of(self._node, _STATUS, DiagnosticStatus)
+        return self._live.take(time.monotonic(), len(controllers))
 
     def _take_pose(self, message: PoseStamped) -> None:
         now = self._arrival()

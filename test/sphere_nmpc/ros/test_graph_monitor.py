@@ -3,8 +3,11 @@
 """Faults of the graph around a node: when they are found, and their lines in the log."""
 
 import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from patience import PATIENCE
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64
 
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros import graph_monitor
@@ -35,6 +38,27 @@ def test_stopped_clock_is_a_fault_unless_the_simulator_repeats_its_last_pose(
         pose_age=pose_age, pose_timeout=0.5, clocks=["/simulator"], poses=["/simulator"],
     )
     assert [fault.kind for fault in find_faults(state)] == kinds
+
+
+@pytest.mark.parametrize(
+    ("follows_clock", "age", "has_stamp", "clocks", "advice"),
+    [
+        (False, 1.8e9, False, [], "set header.stamp"),
+        (False, 1.8e9, False, ["/simulator"], "set header.stamp"),
+        (True, 1.8e9, False, ["/clock_of_the_system"], "set header.stamp"),
+        (True, 5.0, False, ["/simulator"], "set header.stamp"),
+        (False, 1.8e9, True, [], "set header.stamp"),
+        (False, 1.8e9, True, ["/simulator"], "use_sim_time:=true"),
+        (True, -1.8e9, True, ["/simulator"], "use_sim_time:=false"),
+    ],
+)
+def test_advice_on_stamps_of_another_clock_leads_in_no_circle(
+    follows_clock, age, has_stamp, clocks, advice
+) -> None:
+    (fault,) = find_faults(GraphState(
+        follows_clock, 1.0, 0.0, 0.0, age, 0.5, clocks, ["/bridge"], has_stamp=has_stamp
+    ))
+    assert advice in fault.message
 
 
 @pytest.mark.parametrize(
@@ -71,3 +95,23 @@ def test_fault_is_logged_once_when_the_name_of_the_node_is_known(
         monitor.update([fault])
         assert monitor.faults[0] == fault, "the status has it at once"
     assert lines == [f"{fault.kind}: {fault.message}" for fault in logged]
+
+
+def test_publisher_of_another_type_is_none_of_the_topic_and_named_where_it_is_alone(graph) -> None:
+    monitor, probe = GraphMonitor(graph.probe, FaultLog(print)), graph.probe
+    graph.publisher_apart(PoseWithCovarianceStamped, "pose")
+    graph.publisher_apart(Float64, "/clock")
+    probe.create_subscription(PoseStamped, "pose", print, 10)
+    probe.create_publisher(Clock, "/clock", 10)
+    graph.until(lambda: [probe.count_publishers(it) for it in ("/pose", "/clock")] == [1, 2])
+    graph.until(lambda: UNKNOWN not in monitor.incompatible()[0].message)
+    (alone,) = monitor.incompatible()
+    assert f"{alone.kind}: {alone.message}" == (
+        "other type on /pose: given a publisher of /pose of type "
+        "geometry_msgs/msg/PoseWithCovarianceStamped (/localiser), expected "
+        "geometry_msgs/msg/PoseStamped; its messages are not received: remap one side, "
+        "-r /pose:=/its/topic"
+    )
+    probe.create_publisher(PoseStamped, "pose", 10)
+    graph.until(lambda: probe.count_publishers("/pose") == 2)
+    assert not monitor.incompatible() and not monitor.further_publishers(clocked=True)

@@ -11,7 +11,12 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point32, PolygonInstanceStamped, PoseStamped
+from geometry_msgs.msg import (
+    Point32,
+    PolygonInstanceStamped,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+)
 from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -99,6 +104,14 @@ def poses_without_a_stamp(graph) -> None:
     controller(graph)
 
 
+def poses_stamped_since_the_start_of_their_driver(graph) -> None:
+    poses, start = graph.probe.create_publisher(PoseStamped, "pose", 10), time.monotonic_ns()
+    graph.probe.create_timer(0.02, lambda: poses.publish(
+        pose_to_ros(CASE.start, 1 + time.monotonic_ns() - start, 0.3)
+    ))
+    controller(graph)
+
+
 def turning(number: int) -> Vector:
     """Return a pose that differs from the one before."""
     return upright_state(0.0, 0.0, 1e-3 * number)
@@ -179,11 +192,24 @@ def recorder_without_the_namespace(graph) -> None:
     node._missing._due = 0.0  # told at once
 
 
+def pose_of_another_type(graph) -> None:
+    graph.publisher_apart(PoseWithCovarianceStamped, "pose")
+    controller(graph)
+
+
+def recorded_status_of_another_type(graph) -> None:
+    graph.publisher_apart(PoseStamped, "controller/status")
+    graph.add(RecorderNode([Parameter("record_on_start", value=False)]))
+
+
 MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     forgotten_use_sim_time: ("controller", "in simulated time"),
     two_simulators: ("controller", "/clock: given …"),
     pose_sent_best_effort_in_lockstep: ("controller", "incompatible QoS"),
+    poses_stamped_since_the_start_of_their_driver: ("controller", "no simulated time"),
     poses_without_a_stamp: ("controller", "no stamp"),
+    pose_of_another_type: ("controller", "other type on"),
+    recorded_status_of_another_type: ("recorder", "other type on"),
     coarse_clock: ("controller", "clock that stamps them coarse"),
     bunches_that_are_stamped_when_passed_on: ("controller", "not where bunches of them"),
     frames_without_the_sphere: ("controller", "pose left out"),

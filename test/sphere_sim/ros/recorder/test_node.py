@@ -10,19 +10,20 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Odometry
 from patience import PATIENCE
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from verb_process import start
 
-from sphere_sim.ros.recorder.node import _message_class
+from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -124,6 +125,64 @@ def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
     assert "Traceback" not in (tmp_path / "recorder.log").read_text()
     assert counted(tmp_path / "bag") == {}
     assert counted(tmp_path / "bag_1") == {"/diagnostics": 1}
+
+
+def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path) -> None:
+    bag = tmp_path / "bag"
+    topics = ["pose", "controller/*"]
+    other = graph.publisher_apart(PoseWithCovarianceStamped, "pose", LATCHED)
+    first = graph.probe.create_publisher(String, "controller/any", 10)
+    node = RecorderNode([Parameter("output", value=str(bag)), Parameter("topics", value=topics)])
+    graph.add(node)
+    graph.until(lambda: first.get_subscription_count() and node.count_publishers("/pose") == 1)
+    second = graph.publisher_apart(PoseStamped, "controller/any")
+    known = graph.probe.create_publisher(PoseStamped, "pose", 10)
+    graph.until(lambda: len(node._monitor.faults) == 2)
+
+    def all_recorded() -> bool:
+        for sender in (other, first, second, known):
+            sender.publish(sender.msg_type())
+        node._record_arrived()
+        return {"/pose", "/controller/any"} <= node._session.received
+
+    graph.until(all_recorded)
+    # The publisher of the first type ends, that of another one stays.
+    graph.probe.destroy_publisher(first)
+    graph.until(lambda: node.count_publishers("/controller/any") == 1)
+    graph.spin_for(0.5)
+    second.publish(PoseStamped())
+    node.finish()
+    assert set(counted(bag)) == {"/pose", "/controller/any"}
+    with Reader(bag) as reader:
+        types = {it.topic: it.msgtype for it in reader.connections}
+    assert types == {
+        "/pose": "geometry_msgs/msg/PoseStamped", "/controller/any": "std_msgs/msg/String",
+    }
+    assert sorted(fault.kind for fault in node._monitor.faults) == [
+        "other type on /controller/any", "other type on /pose",
+    ]
+
+
+def test_remapped_poses_of_controller_or_recorder_are_recorded_and_named(graph, tmp_path) -> None:
+    bag = tmp_path / "bag"
+    node = RecorderNode([Parameter("output", value=str(bag))])
+    graph.add(node)
+    status = graph.publisher(DiagnosticStatus, "controller/status")
+    says = KeyValue(key="pose_topic", value="/vrpn_mocap/ball/pose")
+    poses = graph.probe.create_publisher(PoseStamped, "/vrpn_mocap/ball/pose", 10)
+
+    def all_recorded() -> bool:
+        status.publish(DiagnosticStatus(values=[says]))
+        poses.publish(PoseStamped())
+        node._record_arrived()
+        return "/vrpn_mocap/ball/pose" in node._session.received
+
+    graph.until(all_recorded)
+    graph.spin_for(0.3)
+    node.finish()
+    with Reader(bag) as reader:
+        named = json.loads(reader.storage.metadata.custom["topics:/"])
+    assert named["pose"] == "/vrpn_mocap/ball/pose" and named["joint_states"] == "/joint_states"
 
 
 def test_announced_type_that_is_none_is_not_loaded() -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -106,7 +107,7 @@ class GraphMonitor:
         topics = {end.topic_name for end in node.subscriptions}
         topics |= {end.topic_name for end in node.publishers}
         wanted = {end.topic_name: type_name(end.msg_type) for end in node.subscriptions}
-        found = {}
+        found: dict[str, GraphFault] = {}
         for topic in sorted(topics - _OF_EVERY_NODE):
             # From the graph: a node's own profiles leave open what the middleware decides.
             publishers = node.get_publishers_info_by_topic(topic)
@@ -134,7 +135,7 @@ class GraphMonitor:
         return list(found.values())
 
 
-def type_name(kind: type) -> str:
+def type_name(kind: Any) -> str:
     """Return the name of a message type as the graph has it."""
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 

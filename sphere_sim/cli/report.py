@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wanted = None if _ALL in given.goal else given.goal
     reported = []
     for path, name in zip(given.bags, names, strict=True):
-        recording = read_run(path, given.namespace, name)
+        recording = read_run(path, given.namespace, name, given.pose_topic)
         # The files of a single bag have the plain names that scripts and documents rely on.
         prefix = f"{name}_" if len(names) > 1 else ""
         reported.append(Reported(recording, select_goals(recording, wanted), prefix))
@@ -71,6 +71,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help="folder of the report")
     parser.add_argument("--namespace", metavar="NS",
                         help="namespace of the robot, if a bag has several")
+    parser.add_argument("--pose-topic", metavar="TOPIC",
+                        help="topic of the robot's poses, if a bag does not say which it is")
     parser.add_argument("--goal", nargs="+", type=_goal, default=[], metavar="N",
                         help="goals, from 1 on in the order of the recording, whose figures are "
                         "drawn, or 'all' (default: the last)")

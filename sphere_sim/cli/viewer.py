@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sphere_sim.ros.viewer import node as viewer_node
 
         return viewer_node.main(given[at:], own.port)
-    return _replay(own.replay, own.namespace, own.port)
+    return _replay(own.replay, own.namespace, own.pose_topic, own.port)
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -42,15 +42,17 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
                         help="folder of a bag, or a .mcap or .db3 file")
     parser.add_argument("--namespace", metavar="NS",
                         help="namespace of the robot, if the bag has several")
+    parser.add_argument("--pose-topic", metavar="TOPIC",
+                        help="topic of the robot's poses, if the bag does not say which it is")
     return parser.parse_args(arguments)
 
 
-def _replay(bag: Path, namespace: str | None, port: int) -> int:
+def _replay(bag: Path, namespace: str | None, pose_topic: str | None, port: int) -> int:
     from sphere_sim.recording.run_reader import read_run
     from sphere_sim.viewer.replay import Replay
     from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 
-    run = read_run(bag, namespace)
+    run = read_run(bag, namespace, pose_topic=pose_topic)
     for note in run.notes:
         print(printable_line(f"viewer: {note}"), file=sys.stderr, flush=True)
     viewer = Viewer(Replay(run), port, live=False)

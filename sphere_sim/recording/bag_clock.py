@@ -5,23 +5,24 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 
-_TOLERANCE = 1.0
+TOLERANCE = 1.0
 """Largest plausible time between a stamp and the log time of its message, on either clock [s]."""
-_OTHER_CLOCK = 1e8
+OTHER_CLOCK = 1e8
 """Age from which on a stamp is attributed to another clock [s]: simulated time and system time
 differ by 1.8e9 s, and no simulation runs for three years."""
 
 
-def longest_run(stamps: Sequence[int]) -> slice:
+def longest_run(stamps: Sequence[int] | NDArray[np.int64]) -> slice:
     """Return the longest section of poses, by their stamps [ns], without a restart.
 
     Stamps that go back by more than latency explains indicate a restart of the simulator.
     """
-    restarts = np.flatnonzero(np.diff(np.array(stamps)) < -_TOLERANCE * NANOSECONDS) + 1
+    restarts = np.flatnonzero(np.diff(stamps) < -TOLERANCE * NANOSECONDS) + 1
     edges = [0, *(int(i) for i in restarts), len(stamps)]
     longest = int(np.argmax(np.diff(edges)))
     return slice(edges[longest], edges[longest + 1])
@@ -71,14 +72,14 @@ class BagClock:
         subscribers, old stamps are plausible, too. A stamp of 0 comes from a sender without a
         clock, or one whose clock has not started: it is used only if the run is near its time 0.
         """
-        tolerance = round(_TOLERANCE * NANOSECONDS)
+        tolerance = round(TOLERANCE * NANOSECONDS)
         near = self.time_of_log(received - tolerance)
-        earliest = (min(near, 0.0) if stamp else near) - _TOLERANCE
+        earliest = (min(near, 0.0) if stamp else near) - TOLERANCE
         if latched and stamp:
-            earliest = self.time_of_log(received) - _OTHER_CLOCK
+            earliest = self.time_of_log(received) - OTHER_CLOCK
         time = self.time_of_stamp(stamp)
         near = self._interpolate(received + tolerance, self._latest)
-        latest = max(near, float(self._latest[-1])) + _TOLERANCE
+        latest = max(near, float(self._latest[-1])) + TOLERANCE
         return time if earliest <= time <= latest else self.time_of_log(received)
 
     def _interpolate(self, received: int, times: Vector) -> float:

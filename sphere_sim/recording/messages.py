@@ -62,6 +62,11 @@ class Messages:
         return f"{missing} in what can be read of it: {'; '.join(self.notes)}"
 
 
+def full_topic_name(name: str) -> str:
+    """Return a name with its leading slash, which some writers of bags leave out."""
+    return f"/{name.strip('/')}"
+
+
 def read_messages(path: Path, selects: TopicFilter) -> Messages:
     """Read a bag.
 
@@ -220,12 +225,17 @@ class _StorageReader:
     ) -> None:
         """Add a topic whose names a topic and a type can have, as notes will show them.
 
-        Those of damaged files, or of files that are made to fool their reader, are not.
+        Those of damaged files, or of files that are made to fool their reader, are not. Of the
+        types that publishers of one topic have, the first that is selected counts.
         """
-        if all(isinstance(it, str) and it.isprintable() and len(it) < 256
-               for it in (topic, msgtype)):
-            self._messages.types[topic] = msgtype
-            topics[number] = topic, self._selects(topic, msgtype)
+        if not all(isinstance(it, str) and it.isprintable() and len(it) < 256
+                   for it in (topic, msgtype)):
+            return
+        topic, types = full_topic_name(topic), self._messages.types
+        selected = self._selects(topic, msgtype)
+        if topic not in types or (selected and not self._selects(topic, types[topic])):
+            types[topic] = msgtype
+        topics[number] = topic, selected and types[topic] == msgtype
 
     def _add_metadata(self, text: str) -> str:
         """Add the custom data of the metadata that recorders store in the file as well."""

@@ -9,6 +9,7 @@ ROS is installed; ``sphere_nmpc.ros.messages`` is the counterpart for ROS messag
 import dataclasses
 import json
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.output.files import printable
-from sphere_sim.recording.bag_clock import BagClock, longest_run
+from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
@@ -38,30 +39,20 @@ from sphere_sim.recording.message_fields import (
     state_of,
 )
 from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.poses import read_poses
 from sphere_sim.recording.run import Floors, Momentum, Run, Solves, without_sign_jumps
+from sphere_sim.recording.topic_roles import ROTORS, Robot, find_robot, is_read
 
-ROTORS = ("rotor_1_joint", "rotor_2_joint")
-"""Joint names of the rotors."""
 _LONGEST_SOLVE = 1e5
 """Duration that no solve has [s]."""
 _MOST_CONTACTS = 1000.0
 """Contacts that are believed between two messages."""
-_POSE = "geometry_msgs/msg/PoseStamped"
-_TYPES = {
-    "pose": _POSE,
-    "joint_states": "sensor_msgs/msg/JointState",
-    "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",
-    "goal_pose": _POSE,
-    "active_goal": _POSE,
-    "status": "diagnostic_msgs/msg/DiagnosticStatus",
-    "pushed": "geometry_msgs/msg/Vector3Stamped",
-    "floor": "nav_msgs/msg/OccupancyGrid",
-    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-}
-"""Message types of the topics that a run consists of."""
 
 
-def read_run(path: Path, namespace: str | None = None, name: str | None = None) -> Run:
+def read_run(
+    path: Path, namespace: str | None = None, name: str | None = None,
+    pose_topic: str | None = None,
+) -> Run:
     """Read the run of one robot from a bag.
 
     Parameters
@@ -71,101 +62,30 @@ def read_run(path: Path, namespace: str | None = None, name: str | None = None) 
     namespace, name : str, optional
         Namespace of the robot, as in ``/left``, needed only if the bag has several robots; name of
         the run in legends, that of the bag by default.
+    pose_topic : str, optional
+        Topic of its poses, needed only where neither the run nor its messages say which it is.
 
     Raises
     ------
     BagError
-        If there is no bag, it is empty or of another robot, it has several robots and no
-        namespace is given, or the files are of several bags.
+        If there is no bag, it is empty or of another robot, it has several robots or topics of
+        poses and none is given, or the files are of several bags.
     """
-    messages = read_messages(
-        path, lambda topic, msgtype: _TYPES.get(topic.rpartition("/")[2]) == msgtype
-    )
-    robot = _select_robot(messages, namespace)
-    clock, times, states = _read_poses(messages, robot)
+    messages = read_messages(path, is_read)
+    robot = find_robot(messages, namespace, pose_topic)
+    clock, times, states = read_poses(messages, robot.pose)
     reader = _TopicReader(messages, robot, clock)
     joint_times, speeds, torques = reader.joint_states()
     goal_times, goals = reader.goals(times)
-    parameters = _recorded_robot(messages.custom_data, f"{robot}/controller")
+    parameters = _recorded_robot(messages.custom_data, robot.controller)
     solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
     floors = reader.floors()
+    reader.tell_undated()
     return Run(
         printable(name or Path(storage_name(path)).stem), path, times, without_sign_jumps(states),
         joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, floors,
         parameters, tuple(messages.notes),
     )
-
-
-def _select_robot(messages: Messages, given: str | None) -> str:
-    """Return the namespace of the robot without a slash at its end."""
-    found = sorted(
-        topic.removesuffix("/pose")
-        for topic, msgtype in messages.types.items()
-        if topic.endswith("/pose") and msgtype == _POSE
-    )
-    names = ", ".join(name or "/" for name in found)
-    if given is not None:
-        robot = "/" + given.strip("/") if given.strip("/") else ""
-        if robot in found:
-            return robot
-        reason = f"no robot in namespace '{given}'; it has: {names or 'none'}"
-    elif len(found) == 1:
-        return found[0]
-    elif found:
-        reason = f"holds several robots, choose one by its namespace: {names}"
-    elif messages.truncated:
-        reason = messages.incomplete(f"no topic 'pose' of type {_POSE}")
-    elif messages.types:
-        others = ", ".join(sorted(messages.types))
-        reason = f"no topic 'pose' of type {_POSE}, so a bag of another robot; has: {others}"
-    else:
-        reason = "is empty: it has no topic at all"
-    raise BagError(messages.path, reason)
-
-
-def _read_poses(messages: Messages, robot: str) -> tuple[BagClock, Vector, Vector]:
-    """Return the clock, and times [s], ascending, and states (n, 6) of the longest run.
-
-    Messages of other runs are removed.
-    """
-    topic = f"{robot}/pose"
-    entries = messages.decoded.get(topic, [])
-    if not entries:
-        reason = f"no message on {topic}"
-        reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
-        raise BagError(messages.path, reason)
-    states = np.array([state_of(message) for _, message in entries])
-    valid = are_states(states)
-    if not np.any(valid):
-        raise BagError(messages.path, f"no message on {topic} holds a valid pose")
-    if not np.all(valid):
-        messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
-    pairs = [(log, stamp_of(it)) for (log, it), use in zip(entries, valid, strict=True) if use]
-    run = longest_run([stamp for _, stamp in pairs])
-    received, stamps = zip(*pairs[run], strict=True)
-    if len(stamps) < len(pairs):
-        messages.notes.append(
-            f"{topic}: time goes back, so the bag holds several runs; only the longest is used, "
-            f"{len(stamps)} of {len(pairs)} poses"
-        )
-        following = [log for log, _ in pairs[run.stop :]]
-        _remove_other_runs(messages, received[0], following[0] if following else None)
-    clock = BagClock(received, stamps)
-    states = states[valid][run]
-    states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
-    # While simulated time is paused, the simulator repeats the pose of that instant.
-    times, first = np.unique([clock.time_of_stamp(stamp) for stamp in stamps], return_index=True)
-    return clock, times, states[first]
-
-
-def _remove_other_runs(messages: Messages, first: int, following: int | None) -> None:
-    """Remove messages of other runs, except earlier goals and floors, which may be in force."""
-    for topic, entries in messages.decoded.items():
-        stays = topic.endswith(("/goal_pose", "/active_goal", "/floor"))
-        messages.decoded[topic] = [
-            (log, message) for log, message in entries
-            if (stays or log >= first) and (following is None or log < following)
-        ]
 
 
 def _recorded_robot(custom_data: dict[str, str], node: str) -> RobotParameters:
@@ -190,19 +110,21 @@ def _recorded_robot(custom_data: dict[str, str], node: str) -> RobotParameters:
 class _TopicReader:
     """Reader of the other topics of one robot; its notes say what is missing or ignored."""
 
-    def __init__(self, messages: Messages, robot: str, clock: BagClock) -> None:
-        self._messages, self._robot, self._clock = messages, robot, clock
+    def __init__(self, messages: Messages, robot: Robot, clock: BagClock) -> None:
+        self._messages, self._robot, self._clock = messages, robot.namespace, clock
         self._notes = messages.notes
+        self._joint_states, self._trajectory = robot.joint_states, robot.rotor_trajectory
+        self._undated: Counter[str] = Counter()
 
     def joint_states(self) -> tuple[Vector, Vector, Vector]:
         """Return times [s], rotor speeds (m, 2) [rad/s] and torques (m, 2) [N m]."""
-        topic = f"{self._robot}/joint_states"
+        topic = self._joint_states
         entries = self._messages.decoded.get(topic, [])
         rows = []
-        for _, message in entries:
+        for received, message in entries:
             order = _rotors(message.name)
             if order:  # other joints of a robot, such as grippers, may use the same topic
-                time = self._clock.time_of_stamp(stamp_of(message))
+                time = self._time(topic, message, received)
                 speeds, torques = (_select(it, order) for it in (message.velocity, message.effort))
                 rows.append([time, *speeds, *torques])
         if entries and not rows:
@@ -219,7 +141,7 @@ class _TopicReader:
 
     def plans(self) -> tuple[FirstOrderHold, ...]:
         """Return the plans that the controller sent, knot times in the run's time [s]."""
-        topic = f"{self._robot}/rotor_trajectory"
+        topic = self._trajectory
         entries = self._messages.decoded.get(topic, [])
         if not entries:
             self._notes.append(f"{topic} is missing; no plans")
@@ -269,7 +191,7 @@ class _TopicReader:
             state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
             # The controller stamps a goal when it accepts it; stamps set by users mean nothing.
             time = (
-                self._clock.time_of_message(stamp_of(message), received, latched=True)
+                self._time(topic, message, received, latched=True)
                 if accepted else self._clock.time_of_log(received)
             )
             entries.append((time, state))
@@ -332,7 +254,7 @@ class _TopicReader:
             and np.all(np.isfinite(reported_momentum(values)))
         ]
         pushes = [
-            (self._clock.time_of_message(stamp_of(message), received),
+            (self._time(topic, message, received),
              known(message.vector.x), known(message.vector.y))
             for topic in self._topics("/pushed")
             for received, message in self._messages.decoded[topic]
@@ -353,7 +275,7 @@ class _TopicReader:
         for topic in self._topics("/floor"):
             invalid = []
             for received, message in self._messages.decoded[topic]:
-                time = self._clock.time_of_message(stamp_of(message), received, latched=True)
+                time = self._time(topic, message, received, latched=True)
                 try:
                     found.append((time, floor_of(message)))
                 except InvalidMapError as error:
@@ -388,11 +310,26 @@ class _TopicReader:
                 before = count
         return np.array(times)
 
+    def tell_undated(self) -> None:
+        """Add a note on each topic whose stamps could not be used."""
+        self._notes += [
+            f"{topic}: {count} stamps are not of the clock of the poses; the log times are used"
+            for topic, count in self._undated.items() if count
+        ]
+
+    def _time(self, topic: str, message: Any, received: int, *, latched: bool = False) -> float:
+        """Return the time [s] of a message by its stamp, or by its log time [ns], which counts."""
+        stamp = stamp_of(message)
+        time = self._clock.time_of_message(stamp, received, latched=latched)
+        self._undated[topic] += time != self._clock.time_of_stamp(stamp)
+        return time
+
     def _topics(self, ending: str) -> list[str]:
         """Return the topics of the robot with an ending, whatever the name of the node is."""
         return sorted(
             topic for topic in self._messages.decoded
-            if topic.startswith(f"{self._robot}/") and topic.endswith(ending)
+            if topic.endswith(ending)
+            and topic.removesuffix(ending).rpartition("/")[0] == self._robot
         )
 
     def _statuses(self) -> list[tuple[float, dict[str, str]]]:

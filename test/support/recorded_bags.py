@@ -79,7 +79,7 @@ def status(**values: object) -> Any:
 
 def run_messages(namespace: str = "") -> Iterator[Entry]:
     """Yield a run that approaches the origin exponentially, with a change of sign half way."""
-    goal = pose(0, (0, 0, 1, 0, 0, 0))
+    goal = pose(START, (0, 0, 1, 0, 0, 0))
     yield f"{namespace}/goal_pose", POSE, START, goal
     yield f"{namespace}/controller/active_goal", POSE, START, goal
     for i in range(COUNT):

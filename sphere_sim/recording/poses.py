@@ -1,0 +1,118 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of a recorded run, and its clock: what of their stamps can be used."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.model.state import QUATERNION, Vector, are_states
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.recording.bag_clock import OTHER_CLOCK, TOLERANCE, BagClock, longest_run
+from sphere_sim.recording.bag_files import BagError
+from sphere_sim.recording.message_fields import stamp_of, state_of
+from sphere_sim.recording.messages import Messages
+
+_Stamps = NDArray[np.int64]
+_TOLERANCE = round(TOLERANCE * NANOSECONDS)
+
+
+def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector]:
+    """Return the clock, and times [s], ascending, and states (n, 6) of the longest run.
+
+    Messages of other runs are removed.
+    """
+    entries = messages.decoded.get(topic, [])
+    if not entries:
+        reason = f"no message on {topic}"
+        reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
+        raise BagError(messages.path, reason)
+    states = np.array([state_of(message) for _, message in entries])
+    valid = are_states(states)
+    if not np.any(valid):
+        raise BagError(messages.path, f"no message on {topic} holds a valid pose")
+    if not np.all(valid):
+        messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
+    states = states[valid]
+    logs, stamps = np.array(
+        [(log, stamp_of(it)) for (log, it), use in zip(entries, valid, strict=True) if use],
+        dtype=np.int64,
+    ).T
+    kept, stamps = _usable(messages, topic, logs, stamps)
+    states, logs, stamps = states[kept], logs[kept], stamps[kept]
+    run = longest_run(stamps)
+    if run.stop - run.start < len(stamps):
+        messages.notes.append(
+            f"{topic}: time goes back, so the bag holds several runs; only the longest is used, "
+            f"{run.stop - run.start} of {len(stamps)} poses"
+        )
+        following = int(logs[run.stop]) if run.stop < len(logs) else None
+        _remove_other_runs(messages, int(logs[run.start]), following)
+    received, used = logs[run].tolist(), stamps[run].tolist()
+    clock = BagClock(received, used)
+    states = states[run]
+    states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
+    # While simulated time is paused, the simulator repeats the pose of that instant.
+    times, first = np.unique([clock.time_of_stamp(stamp) for stamp in used], return_index=True)
+    return clock, times, states[first]
+
+
+def _usable(
+    messages: Messages, topic: str, logs: _Stamps, stamps: _Stamps
+) -> tuple[NDArray[np.bool_], _Stamps]:
+    """Return which poses have a usable time, and the times of all [ns]."""
+    lacking = _without_stamp(stamps)
+    count, number = len(stamps), int(np.sum(lacking))
+    if 2 * number >= count:
+        if count > 1 and logs.min() == logs.max():
+            raise BagError(messages.path, f"{topic}: no pose has a stamp or a log time of its own")
+        messages.notes.append(
+            f"{topic}: {number} of {count} poses have the stamp 0, so that their log times are "
+            "used, which are later by the time that they took to the recorder"
+        )
+        return np.ones(count, dtype=bool), logs
+    if number:
+        messages.notes.append(f"{topic}: {number} poses with the stamp 0 were ignored")
+    usable = ~lacking
+    usable[usable] = np.abs(stamps[usable] - np.median(stamps[usable])) < OTHER_CLOCK * NANOSECONDS
+    # A stamp that jumps away from its neighbours, in the same direction ...
+    rest = np.flatnonzero(usable)
+    jumps = _jumps(logs[rest], stamps[rest])
+    usable[rest[1:-1][jumps[:-1] * jumps[1:] < 0]] = False
+    # ... or at an end, where it would make the run as much longer.
+    rest = np.flatnonzero(usable)
+    jumps = _jumps(logs[rest], stamps[rest])
+    if len(rest) > 2:
+        usable[rest[0]] = not (jumps[0] and not jumps[1])
+        usable[rest[-1]] = not (jumps[-1] and not jumps[-2])
+    if other := count - number - int(np.sum(usable)):
+        messages.notes.append(
+            f"{topic}: {other} poses were ignored, whose stamps are far from those around them"
+        )
+    return usable, stamps
+
+
+def _jumps(logs: _Stamps, stamps: _Stamps) -> NDArray[np.int64]:
+    """Return the direction of each step of the stamps that no gap in the recording explains."""
+    steps = np.diff(stamps)
+    found: NDArray[np.int64] = np.sign(steps) * (np.abs(steps) > _TOLERANCE + np.diff(logs))
+    return found
+
+
+def _without_stamp(stamps: _Stamps) -> NDArray[np.bool_]:
+    """Return which stamps of 0 are not the beginning of simulated time."""
+    present = np.flatnonzero(stamps)
+    if not present.size:
+        return np.ones(len(stamps), dtype=bool)
+    following = np.searchsorted(present, np.arange(len(stamps))).clip(max=present.size - 1)
+    found: NDArray[np.bool_] = (stamps == 0) & (stamps[present[following]] > _TOLERANCE)
+    return found
+
+
+def _remove_other_runs(messages: Messages, first: int, following: int | None) -> None:
+    """Remove messages of other runs, except earlier goals and floors, which may be in force."""
+    for topic, entries in messages.decoded.items():
+        stays = topic.endswith(("/goal_pose", "/active_goal", "/floor"))
+        messages.decoded[topic] = [
+            (log, message) for log, message in entries
+            if (stays or log >= first) and (following is None or log < following)
+        ]

@@ -1,0 +1,240 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of the robot of a bag by their roles: message types, and what the run says of itself.
+
+Names alone do not identify a topic: poses are remapped to the topic of a capture system, commands
+to that of the drives. What identifies it, in this order: the recorder's and the controller's own
+words, the name before any remapping, and the messages: joints named as the rotors, and poses of a
+sphere that rolls.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, are_states
+from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
+from sphere_sim.recording.message_fields import POSE_TOPIC, state_of
+from sphere_sim.recording.messages import Messages, full_topic_name
+
+ROTORS = ("rotor_1_joint", "rotor_2_joint")
+"""Joint names of the rotors."""
+_POSE = "geometry_msgs/msg/PoseStamped"
+_JOINTS = "sensor_msgs/msg/JointState"
+_PLANS = "trajectory_msgs/msg/JointTrajectory"
+_NAMED = {
+    "status": "diagnostic_msgs/msg/DiagnosticStatus",
+    "pushed": "geometry_msgs/msg/Vector3Stamped",
+    "floor": "nav_msgs/msg/OccupancyGrid",
+    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+"""Types of the topics whose names are those of nodes of this package."""
+_GOALS = ("/goal_pose", "/active_goal")
+_FEWEST = 20
+"""Poses of a topic that can be those of a robot: a second of them at the lowest rate that the
+controller expects. Goals are fewer."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Topics of one robot of a bag, by their full names.
+
+    `namespace` has no slash at its end, and `controller` is the full name of its node.
+    """
+
+    namespace: str
+    controller: str
+    pose: str
+    joint_states: str
+    rotor_trajectory: str
+
+
+def is_read(topic: str, msgtype: str) -> bool:
+    """Return whether a run may have messages of this topic and type."""
+    return msgtype in (_POSE, _JOINTS, _PLANS) or _NAMED.get(_last(topic)) == msgtype
+
+
+def find_robot(messages: Messages, namespace: str | None, pose_topic: str | None) -> Robot:
+    """Return the robot in a namespace, or the only one of the bag.
+
+    `pose_topic` names the topic of its poses where that cannot be found out. `BagError` is raised,
+    with what could be chosen, where there is no such robot or topic, or there are several.
+    """
+    found = _Bag(messages)
+    robot = found.select(namespace, pose_topic)
+    nodes = found.controllers(robot)
+    stated = found.stated(robot, nodes)
+    return Robot(
+        robot, nodes[0] if nodes else f"{robot}/controller",
+        found.poses(robot, stated) if pose_topic is None else full_topic_name(pose_topic),
+        found.of_rotors(robot, "joint_states", _JOINTS, stated),
+        found.of_rotors(robot, "rotor_trajectory", _PLANS, stated),
+    )
+
+
+class _Bag:
+    """Robots of a bag, and the topics that can have a role."""
+
+    def __init__(self, messages: Messages) -> None:
+        self._messages = messages
+        self._candidates = self._of_type(_POSE, lambda topic: not topic.endswith(_GOALS))
+        rotors = [*self._of_type(_JOINTS, self._has_rotors),
+                  *self._of_type(_PLANS, self._has_rotors)]
+        with_pose = {_space(topic) for topic in self._candidates if _last(topic) == "pose"}
+        with_rotors = {_space(topic) for topic in rotors
+                       if _last(topic) in ("joint_states", "rotor_trajectory")}
+        controlled = {_space(node) for node in self._nodes()}
+        self._robots = sorted(
+            controlled | (with_pose & with_rotors) or with_rotors or with_pose
+        )
+        self._possible = {*self._robots, *with_pose, *with_rotors}
+
+    def select(self, given: str | None, pose_topic: str | None) -> str:
+        """Return the namespace of the robot that is given, by itself or by its poses."""
+        robots, names = self._robots, ", ".join(name or "/" for name in self._robots)
+        if pose_topic is not None and full_topic_name(pose_topic) not in self._candidates:
+            raise self._error(f"{full_topic_name(pose_topic)}: expected a topic of type {_POSE}")
+        if given is not None:
+            robot = full_topic_name(given).rstrip("/")
+            if robot in self._possible or (pose_topic is not None and not robots):
+                return robot
+            raise self._error(f"no robot in namespace '{given}'; it has: {names or 'none'}")
+        if len(robots) > 1 and pose_topic is not None:
+            # Poses in the namespace of one of them are its own.
+            robots = [it for it in robots if it == _space(full_topic_name(pose_topic))] or robots
+        if len(robots) > 1:
+            raise self._error(f"holds several robots, choose one by its namespace: {names}")
+        if robots or pose_topic is not None:
+            return robots[0] if robots else ""
+        raise self._without_poses("")
+
+    def controllers(self, robot: str) -> list[str]:
+        """Return the full names of the controllers of a robot."""
+        return [node for node in self._nodes() if _space(node) == robot]
+
+    def stated(self, robot: str, nodes: Sequence[str]) -> dict[str, str]:
+        """Return topics that the run itself states, by their names before any remapping."""
+        text = self._messages.custom_data.get(f"{TOPICS_PREFIX}{robot or '/'}", "{}")
+        try:
+            found = dict(json.loads(text))
+        except (ValueError, TypeError):
+            found = {}
+        for node in nodes:
+            for _, message in self._messages.decoded.get(f"{node}/status", ())[:1]:
+                for pair in message.values:
+                    if pair.key == POSE_TOPIC:
+                        found["pose"] = pair.value
+        return {name: full_topic_name(str(topic)) for name, topic in found.items()}
+
+    def poses(self, robot: str, stated: dict[str, str]) -> str:
+        """Return the topic with the poses of a robot."""
+        own, decoded = f"{robot}/pose", self._messages.decoded
+        for topic in (stated.get("pose", own), own):
+            if topic in self._candidates and topic in decoded:
+                return topic
+        found = [topic for topic in self._free(robot, self._candidates)
+                 if len(decoded.get(topic, ())) >= _FEWEST and self._is_in_frame(robot, topic)]
+        if len(found) > 1:
+            found = [topic for topic in found if self._rolls(topic)] or found
+        if len(found) == 1:
+            return self._told(own, found[0])
+        if found:
+            raise self._error(
+                f"several topics may have the poses of the robot in namespace {robot or '/'}, "
+                f"choose one with --pose-topic: {', '.join(found)}"
+            )
+        if own in self._candidates:
+            return own  # which is empty
+        raise self._without_poses(robot)
+
+    def of_rotors(self, robot: str, name: str, msgtype: str, stated: dict[str, str]) -> str:
+        """Return the topic of a name and type whose joints are the rotors of a robot."""
+        own = f"{robot}/{name}"
+        found = self._of_type(msgtype, self._has_rotors)
+        for topic in (stated.get(name, own), own):
+            if topic in found:
+                return topic
+        found = self._free(robot, found)
+        return self._told(own, found[0]) if len(found) == 1 else own
+
+    def _told(self, own: str, topic: str) -> str:
+        self._messages.notes.append(f"{own} is missing; that of this robot is {topic}")
+        return topic
+
+    def _nodes(self) -> list[str]:
+        """Return the full names of the controllers of the bag."""
+        goals = self._of_type(_POSE, lambda topic: topic.endswith("/active_goal"))
+        reports = self._of_type(_NAMED["status"], lambda topic: any(
+            pair.key == "time_s" for _, message in self._messages.decoded.get(topic, ())[:1]
+            for pair in message.values
+        ))
+        return sorted({_space(topic) for topic in (*goals, *reports)} - {""})
+
+    def _of_type(self, msgtype: str, fits: Callable[[str], bool]) -> list[str]:
+        return sorted(topic for topic, kind in self._messages.types.items()
+                      if kind == msgtype and fits(topic))
+
+    def _has_rotors(self, topic: str) -> bool:
+        """Return whether messages name the rotors; others may share the topic."""
+        return any(set(ROTORS) <= set(getattr(it, "name", ()) or getattr(it, "joint_names", ()))
+                   for _, it in self._messages.decoded.get(topic, ()))
+
+    def _free(self, robot: str, topics: Iterable[str]) -> list[str]:
+        """Return the topics that are not in the namespace of another robot."""
+        others = {*self._robots} - {robot}
+        return [topic for topic in topics if _space(topic) not in others]
+
+    def _is_in_frame(self, robot: str, topic: str) -> bool:
+        """Return whether the controller would accept the poses: those in the frame of goals."""
+        decoded = self._messages.decoded
+        frames = {message.header.frame_id for node in self.controllers(robot)
+                  for _, message in decoded.get(f"{node}/active_goal", ())}
+        return not frames or decoded[topic][0][1].header.frame_id in {"", *frames}
+
+    def _rolls(self, topic: str) -> bool:
+        """Return whether poses move as a sphere that rolls does, whatever its radius."""
+        states = np.array([state_of(message) for _, message in self._messages.decoded[topic]])
+        states = states[are_states(states)]
+        turns = _turns(states[:, QUATERNION])
+        steps, rolled = np.diff(states[:, POSITION], axis=0), turns[:, [1, 0]] * (1.0, -1.0)
+        common = float(np.sum(steps * rolled))
+        # More than half of the motion is explained: a correlation.
+        return common > 0.0 and common**2 > 0.5 * float(np.sum(steps**2) * np.sum(rolled**2))
+
+    def _without_poses(self, robot: str) -> BagError:
+        messages = self._messages
+        missing = f"no topic 'pose' of type {_POSE}"
+        if messages.truncated:
+            return self._error(messages.incomplete(missing))
+        if not messages.types:
+            return self._error("is empty: it has no topic at all")
+        others = ", ".join(f"{topic} ({_last(messages.types[topic])})"
+                           for topic in sorted(messages.types))
+        return self._error(
+            f"{missing} in namespace {robot or '/'}, so a bag of another robot; has: {others}"
+        )
+
+    def _error(self, reason: str) -> BagError:
+        if self._candidates and "--pose-topic" not in reason:
+            reason += f"; --pose-topic takes one of {', '.join(self._candidates)}"
+        return BagError(self._messages.path, reason)
+
+
+def _turns(quaternions: Vector) -> Vector:
+    """Return the short rotations from each orientation (n, 4) to the next, (n - 1, 3) [rad]."""
+    w0, v0, w1, v1 = (quaternions[:-1, :1], quaternions[:-1, 1:],
+                      quaternions[1:, :1], quaternions[1:, 1:])
+    real = w0 * w1 + np.sum(v0 * v1, axis=1, keepdims=True)
+    found: Vector = 2.0 * np.sign(real) * (w0 * v1 - w1 * v0 - np.cross(v1, v0))
+    return found
+
+
+def _space(topic: str) -> str:
+    """Return what is before the last part of a full name."""
+    return topic.rpartition("/")[0]
+
+
+def _last(topic: str) -> str:
+    return topic.rpartition("/")[2]

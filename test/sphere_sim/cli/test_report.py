@@ -216,6 +216,16 @@ def test_goal_that_a_bag_does_not_have_is_refused(tmp_path, capsys) -> None:
         main(["bag", "--out", str(tmp_path), "--goal", "second"])
 
 
+def test_topic_of_the_poses_can_be_given(tmp_path, capsys, one_figure) -> None:
+    entries = [(entry[0].replace("/pose", "/optitrack/ball"), *entry[1:]) for entry in approach()]
+    bag = write_own(tmp_path / "bag", without(entries, "active_goal"))
+    assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 1
+    assert "--pose-topic takes one of /optitrack/ball\n" in capsys.readouterr().err
+    arguments = str(bag), "--out", str(tmp_path / "out"), "--pose-topic", "optitrack/ball"
+    assert command(["report", *arguments]) == 0
+    assert "report in" in capsys.readouterr().out
+
+
 def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys, one_figure) -> None:
     out = tmp_path / "out"
     bag = make_bag(tmp_path / "run", goals=0)

@@ -163,12 +163,17 @@ def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path)
     ]
 
 
-def test_remapped_poses_of_controller_or_recorder_are_recorded_and_named(graph, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("graph", "says"),
+    [(None, KeyValue(key="pose_topic", value="/vrpn_mocap/ball/pose")),
+     (["--ros-args", "-r", "pose:=/vrpn_mocap/ball/pose"], KeyValue())],
+    indirect=["graph"], ids=["of the controller", "of the recorder"],
+)
+def test_remapped_poses_are_recorded_and_named(graph, tmp_path, says) -> None:
     bag = tmp_path / "bag"
     node = RecorderNode([Parameter("output", value=str(bag))])
     graph.add(node)
     status = graph.publisher(DiagnosticStatus, "controller/status")
-    says = KeyValue(key="pose_topic", value="/vrpn_mocap/ball/pose")
     poses = graph.probe.create_publisher(PoseStamped, "/vrpn_mocap/ball/pose", 10)
 
     def all_recorded() -> bool:

@@ -303,7 +303,7 @@ class ControllerNode(RunnableNode):
         if not is_new and time.monotonic() < self._goal_told + _GOAL_TOLD_EVERY:
             return
         self._goal_told = time.monotonic()
-        self._reports.goal(self._control_clock.stamp())
+        self._reports.goal(self._control_clock.stamp(), is_new)
         if not is_new:
             return
         self._save_goal()

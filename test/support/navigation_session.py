@@ -29,7 +29,7 @@ class Session:
 
     def __init__(self, graph: Graph, processes: ProcessSet, **navigator: object) -> None:
         self.graph, self.processes = graph, processes
-        patient = {"controller_timeout": PATIENCE, "no_pose_timeout": PATIENCE}
+        patient = {"controller_timeout": PATIENCE, "no_progress_timeout": PATIENCE}
         given = {
             "simulator": {
                 "real_time_factor": FACTOR, "initial_state": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],

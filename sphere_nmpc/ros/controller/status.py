@@ -117,8 +117,7 @@ class ControllerStatus:
         }
 
     def goal_values(self, decision: Decision | None, time: float) -> dict[str, Any]:
-        """Return the values of the way to the goals; `decision` is None before the first on them.
-        """
+        """Return the values of the way to the goals, before a decision on them without one."""
         controller, left, way = self._controller, math.nan, math.nan
         if decision is not None and decision.mode is Mode.AT_GOAL:
             left = 0.0

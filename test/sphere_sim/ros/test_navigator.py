@@ -146,7 +146,7 @@ def test_goal_goes_on_where_a_killed_controller_is_restarted(begun) -> None:
 
 @pytest.mark.slow
 def test_goal_is_aborted_where_the_simulator_is_killed(begun) -> None:
-    session = begun(no_pose_timeout=SILENCE)
+    session = begun(no_progress_timeout=SILENCE)
     sent = session.client.send(pose(3.0, 0.0))
     session.moves()
     session.processes["simulator"].kill()

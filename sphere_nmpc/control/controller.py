@@ -167,11 +167,12 @@ class Controller:
         ahead = (goal.pose[POSITION] for goal in goals.goals[goals.index :])
         places = np.array([newest[1][POSITION], *ahead])
         ways: list[float] = np.linalg.norm(np.diff(places, axis=0), axis=1).tolist()
+        if not math.isnan(way_left):
+            ways[0] = way_left
         times = [rolling.duration(way) for way in ways]
-        return (
-            (times[0] if math.isnan(time_left) else time_left) + sum(times[1:]),
-            (ways[0] if math.isnan(way_left) else way_left) + sum(ways[1:]),
-        )
+        if way_left == 0.0 or not math.isnan(time_left):  # at rest at the goal, or planned
+            times[0] = 0.0 if math.isnan(time_left) else time_left
+        return sum(times), sum(ways)
 
     def _goal_at(self, time: float) -> Goal | None:
         """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_sim.cli.arguments import finite, not_negative, positive, whole
+from sphere_sim.output.arguments import finite, not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.demo.run import run_demo

@@ -33,8 +33,8 @@ class NavigatorSettings:
     no_progress_timeout: float = quantity(
         30.0, "s",
         "Wall time after which a goal is aborted that the controller does not pursue, as without "
-        "fresh poses or progress, or with a clock that stands still; one that no floor but "
-        "another would let it reach is aborted as soon as the sphere stands",
+        "fresh poses or progress, or with a clock that stands still; one that cannot be reached "
+        "on this floor is aborted as soon as the sphere stands",
         minimum=1.0, maximum=1e6,
     )
     waypoint_pause: float = quantity(

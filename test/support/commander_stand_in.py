@@ -43,7 +43,7 @@ class BasicNavigator(Node):
         self._feedback: Any = None
         self.result_future: Any = None
 
-    def waitUntilNav2Active(  # noqa: N802
+    def waitUntilNav2Active(
         self, navigator: str = "bt_navigator", localizer: str = "amcl"
     ) -> None:
         assert localizer == "robot_localization"
@@ -53,23 +53,23 @@ class BasicNavigator(Node):
         while label != "active":
             label = self._done(client.call_async(GetState.Request())).current_state.label
 
-    def goToPose(self, pose: Any) -> bool:  # noqa: N802
+    def goToPose(self, pose: Any) -> bool:
         return self._begin(self._pose_client, NavigateToPose.Goal(pose=pose))
 
-    def followWaypoints(self, poses: Any) -> bool:  # noqa: N802
+    def followWaypoints(self, poses: Any) -> bool:
         return self._begin(self._waypoint_client, FollowWaypoints.Goal(poses=poses))
 
-    def cancelTask(self) -> None:  # noqa: N802
+    def cancelTask(self) -> None:
         self._done(self._handle.cancel_goal_async())
 
-    def isTaskComplete(self) -> bool:  # noqa: N802
+    def isTaskComplete(self) -> bool:
         rclpy.spin_until_future_complete(self, self.result_future, timeout_sec=0.1)
         return bool(self.result_future.done())
 
-    def getFeedback(self) -> Any:  # noqa: N802
+    def getFeedback(self) -> Any:
         return self._feedback
 
-    def getResult(self) -> TaskResult:  # noqa: N802
+    def getResult(self) -> TaskResult:
         return _RESULTS.get(self.result_future.result().status, TaskResult.UNKNOWN)
 
     def _begin(self, client: ActionClient, goal: Any) -> bool:

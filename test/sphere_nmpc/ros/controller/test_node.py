@@ -19,9 +19,12 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -276,6 +279,26 @@ def test_each_goal_is_shown_at_once_and_not_as_reached_with_the_one_before(robot
         robot.graph.until(lambda: shown(robot, f"0.{stamp:09}"))  # noqa: B023
     for status in shown(robot, "0.000000005") + shown(robot, "0.000000006"):
         assert status["mode"] != "at the goal"
+
+
+def test_new_goal_shows_nothing_of_one_that_was_given_up(robot) -> None:
+    free = Grid(np.zeros((60, 60), dtype=bool), 0.1, (-1.0, -6.0, 0.0))
+    robot.node.controller.floor = Floor(free, 0.3, 0.02)
+    robot.send_goal(upright_state(-9.0, 0.0, 0.0))
+    robot.pass_time(8.0)
+    status = robot.status()
+    assert (status["mode"], status["unreachable"]) == (
+        "no progress towards the goal", "goal outside"
+    )
+    assert float(status["total_distance_left_m"]) > 9.0
+    robot.node.controller.floor = None
+    robot.statuses.clear()
+    robot.goal_sender.publish(pose_to_ros(CASE.goal, 7, 0.3))
+    robot.graph.until(lambda: shown(robot, "0.000000007"))
+    first = shown(robot, "0.000000007")[0]
+    assert first["mode"] == "on the way to the goal"
+    assert first["unreachable"] == first["giving_up"] == first["no_progress"] == ""
+    assert float(first["total_time_left_s"]) > 2.0, "along a straight line until there is a plan"
 
 
 def shown(robot, stamp: str) -> list[dict[str, str]]:

@@ -24,6 +24,8 @@ ERROR_CODES = {
 }
 """Codes of Nav2 for causes: those of the results of ComputePathToPose and FollowPath in nav2_msgs,
 which its own navigator passes on."""
+OF_THE_WAY = {Mode.NO_PROGRESS.value, *(kind.value for kind in Unreachable)}
+"""Causes that concern the way to a goal, so that another one may be reached."""
 _KEYS = "goal_stamp", "goal_index", "mode", "plans", "total_time_left_s", "total_distance_left_m"
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from sphere_nmpc.control.decision import Mode
-from sphere_nmpc.control.goal_report import GoalReport, Patience
+from sphere_nmpc.control.goal_report import OF_THE_WAY, GoalReport, Patience
 from sphere_nmpc.quantity import quantity, validate
 
 _AGAIN = 1.0
@@ -123,7 +123,8 @@ class _Pursuit:
 class Navigation:
     """The goal in force, which the newest one is, and the end of each goal.
 
-    A goal of several stages succeeds if one of them was reached.
+    A stage that cannot be reached is followed by the next one, and a goal of several succeeds if
+    one of them was reached.
 
     Times are those of a steady clock [s, wall]; `update` is to be called at intervals.
     """
@@ -295,8 +296,11 @@ class Navigation:
 
     def _go_on(self, pursuit: _Pursuit, now: float) -> Requests:
         """Begin the next stage, or end the goal after the last one."""
+        missed = pursuit.missed
+        if pursuit.reached_at is None and missed[-1].cause not in OF_THE_WAY:
+            return Requests(self._end(Outcome.ABORTED, missed[-1].reason))  # another is no better
         self._keep(pursuit)
-        stamp, missed = next(pursuit.stamps, ""), pursuit.missed
+        stamp = next(pursuit.stamps, "")
         if stamp:
             self._begin_stage(
                 pursuit.goal, pursuit.stamps, stamp, now, pursuit.pause, pursuit.stage + 1, missed

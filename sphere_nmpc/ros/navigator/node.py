@@ -179,14 +179,15 @@ class NavigatorNode(RunnableNode):
         self._carry_out(self._navigation.update(time.monotonic()))
         self._event_log.flush()
         self._fault_log.flush()
-        if self._pose is None:
+        goal, report = self._navigation.goal, self._navigation.report
+        is_awaited = self._located.get_subscription_count() > 0
+        if self._pose is None or not (is_awaited or report):
             return
         pose = message_object(self._pose, PoseStamped)
-        if self._located.get_subscription_count() > 0:
+        if is_awaited:
             located = PoseWithCovarianceStamped(header=pose.header)
             located.pose.pose = pose.pose
             self._located.publish(located)
-        goal, report = self._navigation.goal, self._navigation.report
         if goal is None or report is None:
             return
         accepted = self._goals[goal]

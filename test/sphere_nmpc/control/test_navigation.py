@@ -422,6 +422,14 @@ def test_goal_of_which_no_stage_can_be_reached_is_aborted(world) -> None:
     assert len(world.missed[A]) == 2
 
 
+def test_what_no_other_stage_would_mend_ends_the_goal(world) -> None:
+    world.begin(A, stages=3)
+    world.step(3.5)
+    world.mode = Mode.DISABLED
+    world.step(0.1)
+    assert world.ended == {A: (Outcome.ABORTED, "disabled")} and len(world.stamps) == 2
+
+
 def test_goal_can_be_cancelled_and_taken_over_during_a_pause(world) -> None:
     world.begin(A, stages=2, pause=5.0)
     world.step(4.0)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control loop without its transport: poses and goals in, first-order holds out."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -38,6 +39,7 @@ from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 from sphere_nmpc.worker.contract import Worker
 
 _OVERSPEED = 2.0
@@ -149,6 +151,28 @@ class Controller:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
         goal = self._goal_at(time)
         return 0.0 if goal is None else float(np.linalg.norm(goal.rate[POSITION]))
+
+    def remaining(self, time_left: float, way_left: float) -> tuple[float, float]:
+        """Return time [s] and way [m] to the last of the goals; nan without goal or pose.
+
+        To the goal that is aimed at they are those of the plan, where they are known, that is not
+        nan; otherwise, and from goal to goal, those of rolling straight from rest to rest.
+        """
+        goals, newest = self._itinerary, self._estimator.newest
+        if goals is None or newest is None:
+            return math.nan, math.nan
+        rolling = SteadyRolling.of(
+            self._estimator.plant.constants, self._robot.max_rotor_speed
+        )
+        ahead = (goal.pose[POSITION] for goal in goals.goals[goals.index :])
+        places = np.array([newest[1][POSITION], *ahead])
+        ways: list[float] = np.linalg.norm(np.diff(places, axis=0), axis=1).tolist()
+        if not math.isnan(way_left):
+            ways[0] = way_left
+        times = [rolling.duration(way) for way in ways]
+        if way_left == 0.0 or not math.isnan(time_left):  # at rest at the goal, or planned
+            times[0] = 0.0 if math.isnan(time_left) else time_left
+        return sum(times), sum(ways)
 
     def _goal_at(self, time: float) -> Goal | None:
         """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""

@@ -27,8 +27,13 @@ delay, and a plan that is followed has a margin of 2.1 mm."""
 
 def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None:
     """Return a stop where the goal is refused, whatever a plan would be; None where it is not."""
-    reason = refusal(situation)
-    return stop(situation, robot, "no way to the goal", reason) if reason else None
+    floor = situation.floor
+    refused = None if floor is None else refusal(situation, floor)
+    if floor is None or refused is None:
+        return None
+    lasting = refused if floor.lasting is floor else refusal(situation, floor.lasting)
+    plan = stop(situation, robot, "no way to the goal", refused[1])
+    return replace(plan, unreachable=None if lasting is None else lasting[0])
 
 
 def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strategy: str) -> Plan:

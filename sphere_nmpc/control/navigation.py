@@ -3,25 +3,22 @@
 """Goals of actions: which one is in force at the controller, and how each of them ends.
 
 The controller is known by its statuses alone, which tell the stamp of the goal in force. A goal is
-sent with a stamp of its own, again until a status shows it, and has one end.
+one message, or several that are sent one after the other: its stages. Each is sent with a stamp of
+its own, again until a status shows it. A goal has one end.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 
 from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.goal_report import OF_THE_WAY, GoalReport, Patience
 from sphere_nmpc.quantity import quantity, validate
 
 _AGAIN = 1.0
 """Time [s] after which a goal that no status shows, or a request to cancel, is sent again."""
 _KEPT = 100
 """Earlier goals whose stamps are known."""
-_WITHOUT_POSE = {
-    mode.value for mode in (
-        Mode.NO_CLOCK, Mode.CLOCK_STOPPED, Mode.CLOCK_JUMPED, Mode.NO_POSE, Mode.NO_FRESH_POSE,
-    )
-}
-"""Modes in which the controller cannot do anything about its goal."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +30,16 @@ class NavigatorSettings:
         "Wall time after which a goal is aborted that no status of the controller shows any more",
         minimum=1.0, maximum=3600.0,
     )
-    no_pose_timeout: float = quantity(
+    no_progress_timeout: float = quantity(
         30.0, "s",
-        "Wall time after which a goal is aborted while the controller has no fresh poses or its "
-        "clock stands still",
+        "Wall time after which a goal is aborted that the controller does not pursue, as without "
+        "fresh poses or progress, or with a clock that stands still; one that cannot be reached "
+        "on this floor is aborted as soon as the sphere stands",
         minimum=1.0, maximum=1e6,
+    )
+    waypoint_pause: float = quantity(
+        0.2, "s", "Wall time that the sphere stays at each waypoint of follow_waypoints",
+        maximum=1e6,
     )
 
     def __post_init__(self) -> None:
@@ -53,41 +55,22 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True)
-class GoalReport:
-    """What a status of the controller says about its goals.
+class Missed:
+    """A stage that the controller does not pursue; `cause` is that of a `GoalReport`."""
 
-    Attributes
-    ----------
-    stamp : str
-        Stamp of the message that brought the goals in force; empty without any.
-    index : int
-        Which of them is aimed at, from 0 on.
-    mode : str
-        Value of the controller's `Mode`.
-    at_rest : bool
-        Whether no rotor moves any more.
-    plans : int
-        Number of new plans since the controller was started.
-    time_left, distance_left : float
-        Time [s] and path [m] to the goal aimed at; nan where they are not known.
-    """
-
-    stamp: str
-    index: int
-    mode: str
-    at_rest: bool
-    plans: int
-    time_left: float
-    distance_left: float
+    stage: int
+    cause: str
+    reason: str
 
 
 @dataclass(frozen=True)
 class Ending:
-    """End of a goal, with the reason in a line."""
+    """End of a goal, with the reason in a line and the stages that were missed."""
 
     goal: bytes
     outcome: Outcome
     reason: str
+    missed: tuple[Missed, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,21 +98,33 @@ class _Pursuit:
     """A goal from its acceptance to its end; times are [s, wall]."""
 
     goal: bytes
+    stamps: Iterator[str]
+    """Those of the stages that follow."""
+    pause: float
+    """How long the sphere stays where it has reached a stage [s]."""
     stamp: str
+    """That of the present stage, with which all below is concerned."""
     began_at: float
     shown_at: float
     """When a status has last shown it; before the first one, when it began."""
+    patience: Patience
+    stage: int = 0
+    missed: tuple[Missed, ...] = ()
+    """Earlier stages that were missed."""
     is_confirmed: bool = False
     """Whether a status has shown it."""
     sent_at: float | None = None
+    reached_at: float | None = None
     cancelled_at: float | None = None
     plans: int = 0
-    replans: int = 0
     newest: GoalReport | None = field(default=None, repr=False)
 
 
 class Navigation:
     """The goal in force, which the newest one is, and the end of each goal.
+
+    A stage that cannot be reached is followed by the next one, and a goal of several succeeds if
+    one of them was reached.
 
     Times are those of a steady clock [s, wall]; `update` is to be called at intervals.
     """
@@ -139,7 +134,6 @@ class Navigation:
         self._pursuit: _Pursuit | None = None
         self._report: GoalReport | None = None
         self._heard_at = float("-inf")
-        self._without_pose_since: float | None = None
         self._former: dict[str, bool] = {}
         """Whether the sphere may stay at earlier goals, by their stamps."""
         self._requested_at: float | None = None
@@ -157,15 +151,40 @@ class Navigation:
         return None if self._pursuit is None else self._pursuit.newest
 
     @property
-    def replans(self) -> int:
-        """Number of new plans since the controller took the goal."""
-        return 0 if self._pursuit is None else self._pursuit.replans
+    def stage(self) -> int:
+        """The stage of the goal, from 0 on."""
+        return 0 if self._pursuit is None else self._pursuit.stage
 
-    def begin(self, goal: bytes, stamp: str, now: float) -> Requests:
-        """Put a goal in force, in the place of the one before; `stamp` must be its own."""
+    def hears_controller(self, now: float) -> bool:
+        """Return whether a status has come within the time-out for that."""
+        return now - self._heard_at < self._settings.controller_timeout
+
+    def begin(
+        self, goal: bytes, stamps: Iterator[str], now: float, pause: float = 0.0
+    ) -> Requests:
+        """Put a goal in force, in the place of the one before.
+
+        Parameters
+        ----------
+        goal : bytes
+            Its id.
+        stamps : iterator of str
+            A stamp for each stage, which no other message has; taken when that one is to be sent.
+        now : float
+            Time [s].
+        pause : float
+            How long the sphere stays at each stage [s].
+        """
         ended = self._end(Outcome.ABORTED, "a newer goal has taken over")
-        self._pursuit = _Pursuit(goal, stamp, began_at=now, shown_at=now)
+        self._begin_stage(goal, stamps, next(stamps), now, pause)
         return Requests(ended, send=self._may_send(now))
+
+    def _begin_stage(
+        self, goal: bytes, stamps: Iterator[str], stamp: str, now: float, pause: float,
+        stage: int = 0, missed: tuple[Missed, ...] = (),
+    ) -> None:
+        patience = Patience(self._settings.no_progress_timeout)
+        self._pursuit = _Pursuit(goal, stamps, pause, stamp, now, now, patience, stage, missed)
 
     def cancel(self, goal: bytes, now: float) -> bool:
         """Cancel a goal, which ends at rest; return False if it has ended already."""
@@ -196,15 +215,8 @@ class Navigation:
     def receive(self, report: GoalReport, now: float) -> Requests:
         """Take a status of the controller."""
         self._report, self._heard_at = report, now
-        if report.mode not in _WITHOUT_POSE:
-            self._without_pose_since = None
-        elif self._without_pose_since is None:
-            self._without_pose_since = now
         pursuit = self._pursuit
         if pursuit is not None and report.stamp == pursuit.stamp:
-            if pursuit.newest is not None:
-                # Of a restarted controller the number begins again at 0.
-                pursuit.replans += max(0, report.plans - pursuit.plans)
             pursuit.plans, pursuit.newest = report.plans, report
             pursuit.shown_at, pursuit.is_confirmed = now, True
         return self.update(now)
@@ -218,6 +230,8 @@ class Navigation:
         ending = self._ending(pursuit, now)
         if ending is not None:
             return Requests(self._end(*ending))
+        if self._is_over(pursuit, now):
+            return self._go_on(pursuit, now)
         if pursuit.cancelled_at is not None:
             return Requests(cancel=self._shows_own() and self._may_cancel(now))
         lost = pursuit.sent_at is None or (
@@ -233,15 +247,10 @@ class Navigation:
             return Outcome.ABORTED, f"no status of the controller for {limit:g} s"
         if report is None or self._heard_at < pursuit.began_at:
             return None
-        if self._without_pose_since is not None:
-            longest = self._settings.no_pose_timeout
-            if now - max(self._without_pose_since, pursuit.began_at) > longest:
-                return Outcome.ABORTED, f"{report.mode}, for {longest:g} s"
         if pursuit.cancelled_at is not None:
             return self._ending_of_cancelled(pursuit, report, now)
         if report.stamp == pursuit.stamp:
-            is_there = report.mode == Mode.AT_GOAL.value
-            return (Outcome.SUCCEEDED, "at the goal") if is_there else None
+            return None
         if pursuit.is_confirmed and not self._shows_former():
             if report.stamp:
                 return Outcome.ABORTED, "another goal has taken over"
@@ -261,21 +270,60 @@ class Navigation:
             and now - pursuit.sent_at < self._settings.controller_timeout
         )
         is_known = pursuit.cancelled_at is not None and self._heard_at > pursuit.cancelled_at
-        if is_under_way or not is_known or self._shows_own():
-            return None
-        if report.stamp:
-            return Outcome.ABORTED, "another goal has taken over"
-        return (Outcome.CANCELED, "at rest") if report.at_rest else None
+        if is_known and not is_under_way and not self._shows_own():
+            if report.stamp:
+                return Outcome.ABORTED, "another goal has taken over"
+            if report.at_rest:
+                return Outcome.CANCELED, "at rest"
+        longest = self._settings.no_progress_timeout
+        if pursuit.cancelled_at is not None and now - pursuit.cancelled_at > longest:
+            return Outcome.ABORTED, f"{report.mode}, for {longest:g} s"
+        return None
+
+    def _is_over(self, pursuit: _Pursuit, now: float) -> bool:
+        """Return whether the stage has been reached and the pause is over, or it is missed."""
+        report = self._report
+        if report is None or report.stamp != pursuit.stamp or pursuit.cancelled_at is not None:
+            return False
+        if pursuit.reached_at is None and report.mode == Mode.AT_GOAL.value:
+            pursuit.reached_at = now
+        if pursuit.reached_at is not None:
+            return now - pursuit.reached_at >= pursuit.pause
+        reason = pursuit.patience.exhausted(report, now)
+        if reason:
+            pursuit.missed += (Missed(pursuit.stage, report.cause, reason),)
+        return bool(reason)
+
+    def _go_on(self, pursuit: _Pursuit, now: float) -> Requests:
+        """Begin the next stage, or end the goal after the last one."""
+        missed = pursuit.missed
+        if pursuit.reached_at is None and missed[-1].cause not in OF_THE_WAY:
+            return Requests(self._end(Outcome.ABORTED, missed[-1].reason))  # another is no better
+        self._keep(pursuit)
+        stamp = next(pursuit.stamps, "")
+        if stamp:
+            self._begin_stage(
+                pursuit.goal, pursuit.stamps, stamp, now, pursuit.pause, pursuit.stage + 1, missed
+            )
+            return Requests(send=self._may_send(now))
+        if len(missed) > pursuit.stage:
+            return Requests(self._end(Outcome.ABORTED, missed[-1].reason))
+        reason = f"{len(missed)} of {pursuit.stage + 1} missed" if missed else "at the goal"
+        return Requests(self._end(Outcome.SUCCEEDED, reason))
 
     def _end(self, outcome: Outcome, reason: str) -> tuple[Ending, ...]:
         """End the goal in force, if there is one."""
         pursuit, self._pursuit = self._pursuit, None
         if pursuit is None:
             return ()
-        self._former[pursuit.stamp] = outcome is Outcome.SUCCEEDED
+        self._keep(pursuit)
+        return (Ending(pursuit.goal, outcome, reason, pursuit.missed),)
+
+    def _keep(self, pursuit: _Pursuit) -> None:
+        """Keep the stamp of a stage that is over."""
+        self._former[pursuit.stamp] = pursuit.reached_at is not None
         if len(self._former) > _KEPT:
             del self._former[next(iter(self._former))]
-        return (Ending(pursuit.goal, outcome, reason),)
 
     def _shows_former(self) -> bool:
         """Return whether the newest status shows an earlier goal of an action."""

@@ -88,7 +88,7 @@ class Layers:
             else (polygon, touched_runs(base, polygon))
             for number, polygon in self.keepouts.items()
         }
-        return base.with_runs([runs for _, runs in areas.values()])
+        return replace(base.with_runs([runs for _, runs in areas.values()]), lasting=base)
 
     def base(self, radius: float) -> Grid | None:
         """Return the cells without those that areas touch; otherwise as `grid`."""

@@ -50,11 +50,14 @@ class Grid:
         Side of a cell [m].
     origin : tuple of float
         Place [m] and heading [rad] of the corner of the first cell in the world frame.
+    lasting : Grid or None
+        The same cells without areas to keep out of, which may move; None where there are none.
     """
 
     occupied: Cells
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lasting: "Grid | None" = None
 
     def local(self, places: NDArray[np.floating]) -> Vector:
         """Return places in the world, shape (..., 2) [m], in the grid's axes [cells]."""

@@ -23,6 +23,7 @@ from sphere_nmpc.solver.half_motions import Side
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Unreachable
 
 _SAMPLES = 0.06, 0.015, 0.0025
 """Longest time between two samples of a path [1 / (c1 u_max)]: 25.5 mm of the way for Table 1 with
@@ -72,26 +73,28 @@ def _distance_at(floor: Floor, x: float, y: float) -> float:
     return float(floor.distances(np.array([[x, y]]))[0])
 
 
-def refusal(situation: Situation) -> str:
-    """Return why the sphere is not to move, whatever a plan would be; empty if it may."""
-    floor = situation.floor
-    if floor is None:
-        return ""
-    if floor.is_occupied(situation.state[POSITION]):
-        return (
+def refusal(situation: Situation, floor: Floor) -> tuple[Unreachable, str] | None:
+    """Return why the sphere is not to move on a floor, whatever a plan is; None if it may."""
+    place = situation.state[POSITION]
+    if floor.is_occupied(place):
+        inside = floor.grid.contains(place)
+        return Unreachable.START_OCCUPIED if inside else Unreachable.START_OUTSIDE, (
             "the goal: the place of the sphere is occupied or outside of the floor, so that no "
             "motion keeps clear"
         )
     goal, radius = situation.goal[POSITION], situation.radius
     distance = _exact_distance_at(floor, *goal.tolist())
     if distance >= max(floor.needed - _ROUNDING, radius - _VARIES):
-        return ""
+        return None
     if distance > 0.0:
         least = f"radius and clearance, {floor.needed:.3g} m"
         if radius > floor.needed:
             least = f"the radius that is learnt, {radius:.3g} m"
-        return f"the goal: it is {distance:.3g} m from what is occupied, less than {least}"
-    return f"the goal: it is {'occupied' if floor.grid.contains(goal) else 'outside of the floor'}"
+        reason = f"the goal: it is {distance:.3g} m from what is occupied, less than {least}"
+        return Unreachable.GOAL_OCCUPIED, reason
+    if floor.grid.contains(goal):
+        return Unreachable.GOAL_OCCUPIED, "the goal: it is occupied"
+    return Unreachable.GOAL_OUTSIDE, "the goal: it is outside of the floor"
 
 
 @kept_with_floor(1)  # the same at nearly every sample

@@ -27,6 +27,18 @@ class PlanStatus(Enum):
     """The rotors cannot hold the momentum: they stay at their limits, and the sphere rolls."""
 
 
+class Unreachable(Enum):
+    """Why the goal cannot be reached on the floor, whatever is planned."""
+
+    START_OUTSIDE = "start outside"
+    """The sphere is outside of the floor."""
+    START_OCCUPIED = "start occupied"
+    GOAL_OUTSIDE = "goal outside"
+    GOAL_OCCUPIED = "goal occupied"
+    """The goal is occupied, or too near to what is."""
+    NO_WAY = "no way"
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Rotor speeds from now on and the states that they are predicted to lead to.
@@ -53,6 +65,9 @@ class Plan:
         One line that explains the status.
     given_up : str
         What is given up of the goal and why; empty where nothing is.
+    unreachable : Unreachable or None
+        Why the goal cannot be reached even without the areas to keep out of, which may move; None
+        where it may be.
     motion : int
         Number of the motion that it is the rest of; 0 where none was planned.
     clearance : float
@@ -72,6 +87,7 @@ class Plan:
     solve_time: float = 0.0
     message: str = ""
     given_up: str = ""
+    unreachable: Unreachable | None = None
     motion: int = 0
     clearance: float = float("nan")
     beyond: float = 0.0

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_sim.cli.arguments import finite, not_negative, positive, whole
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.demo.run import run_demo
+from sphere_sim.output.arguments import finite, not_negative, positive, whole
 from sphere_sim.output.files import prepare_folder
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.ros.session.domain import own_domain

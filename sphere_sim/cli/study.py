@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.cli.arguments import cluster_address, not_negative, number, positive, whole
 from sphere_sim.cli.exits import if_interrupted
+from sphere_sim.output.arguments import cluster_address, not_negative, number, positive, whole
 from sphere_sim.output.files import prepare_folder
 from sphere_sim.world.settings import PLANTS
 

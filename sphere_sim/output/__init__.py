@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Results and errors as commands write them: files, folders, figures, numbers, one-line text."""
+"""Commands: types of arguments, and results and errors as they write them."""

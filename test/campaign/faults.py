@@ -32,7 +32,7 @@ from trial import Outcome, run_trials
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.cli.arguments import number, whole
+from sphere_sim.output.arguments import number, whole
 from sphere_sim.output.files import prepare_folder, write_atomically
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.world.settings import PLANTS

@@ -66,15 +66,13 @@ class Sent:
 
 
 class NavigationClient:
-    """Both action clients, on a node that `until` serves until a condition holds."""
+    """Clients of the actions, on a node that `until` serves until a condition holds."""
 
     def __init__(self, node: Node, until: Callable[[Callable[[], object]], object]) -> None:
-        from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
+        from sphere_nmpc.ros.navigator.requests import action_types
 
         self._node, self._until = node, until
-        self.kinds = {
-            "navigate_to_pose": NavigateToPose, "navigate_through_poses": NavigateThroughPoses,
-        }
+        self.kinds = action_types()
         self._clients = {name: ActionClient(node, kind, name) for name, kind in self.kinds.items()}
         self.ends: dict[bytes, list[int]] = {}
         """Terminal statuses of each goal, without repetitions, as they were published."""
@@ -85,7 +83,7 @@ class NavigationClient:
             )
 
     def wait_for_navigator(self) -> None:
-        """Wait until both actions are offered."""
+        """Wait until all actions are offered."""
         for client in self._clients.values():
             self._until(client.server_is_ready)
 
@@ -94,14 +92,18 @@ class NavigationClient:
         found = self._node.get_publishers_info_by_topic("navigate_to_pose/_action/status")
         return {bytes(one.endpoint_gid) for one in found}
 
-    def send(self, *poses: PoseStamped, tree: str = "", through: bool = False) -> Sent:
+    def send(self, *poses: PoseStamped, tree: str = "", name: str = "") -> Sent:
         """Send one goal, or several in order, and wait for the answer.
+
+        `name` is that of the action, by default one of the first two.
 
         It is sent again where none comes: a client that knows a navigator which was killed does
         not wait until it is matched with the next one, whose answer is then lost.
         """
-        name = "navigate_through_poses" if through or len(poses) != 1 else "navigate_to_pose"
-        goal = self.kinds[name].Goal(behavior_tree=tree)
+        default = "navigate_to_pose" if len(poses) == 1 else "navigate_through_poses"
+        goal = self.kinds[name := name or default].Goal()
+        if tree:
+            goal.behavior_tree = tree
         if name == "navigate_to_pose":
             goal.pose = poses[0]
         else:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Package nav2_msgs with the two actions of the navigator, built where Nav2 is not installed.
+"""Package nav2_msgs with the actions of the navigator, built where Nav2 is not installed.
 
 The generators, headers and libraries in the ROS wheels make it from the table of fields below,
 with gcc and g++, in about 15 s. It is built once a machine, interpreter and version of this file.
@@ -33,8 +33,16 @@ FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("geometry_msgs/PoseStamped[] poses", "string behavior_tree"), _RESULT,
         (*_FEEDBACK, "int16 number_of_poses_remaining"),
     ),
+    "FollowWaypoints": (
+        ("uint32 number_of_loops", "uint32 goal_index 0", "geometry_msgs/PoseStamped[] poses"),
+        ("uint16 NONE=0", "uint16 UNKNOWN=600", f"{PACKAGE}/MissedWaypoint[] missed_waypoints",
+         *_RESULT),
+        ("uint32 current_waypoint",),
+    ),
 }
 """Fields of goal, result and feedback of each action, as in Jazzy."""
+_MISSED_WAYPOINT = "uint32 index\ngeometry_msgs/PoseStamped goal\nuint16 error_code\n"
+"""Fields of the message MissedWaypoint."""
 _USED = (
     "builtin_interfaces", "unique_identifier_msgs", "service_msgs", "std_msgs", "geometry_msgs",
     "action_msgs",
@@ -103,9 +111,10 @@ def _build(work: Path) -> None:
     package.mkdir(parents=True)
     (package / "__init__.py").write_text(_INIT)
     python_types = work / _TYPES_PY / PACKAGE
-    (package / "action").mkdir()
-    for module in python_types.glob("action/*.py"):
-        module.rename(package / "action" / module.name)
+    for kind in ("action", "msg"):
+        (package / kind).mkdir()
+        for module in python_types.glob(f"{kind}/*.py"):
+            module.rename(package / kind / module.name)
     units = [unit for kind in (*_LIBRARIES, _TYPES_PY) for unit in (work / kind).rglob("*.c*")]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         objects = list(pool.map(lambda unit: _compile(unit, work), units))
@@ -120,6 +129,7 @@ def _build(work: Path) -> None:
 def _generate(work: Path) -> None:
     from ament_index_python import get_package_share_directory
     from rosidl_adapter.action import convert_action_to_idl
+    from rosidl_adapter.msg import convert_msg_to_idl
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
     from rosidl_generator_type_description.cli import HashTypeDescription
@@ -130,7 +140,11 @@ def _generate(work: Path) -> None:
     include = [get_package_share_directory(package) for package in _USED]
     source = work / "source"
     (source / "action").mkdir(parents=True)
-    descriptions = []
+    (source / "msg").mkdir()
+    message = Path("msg", "MissedWaypoint.msg")
+    (source / message).write_text(_MISSED_WAYPOINT)
+    convert_msg_to_idl(source, PACKAGE, message, source / "msg")
+    descriptions = [f"{source}:{message.with_suffix('.idl')}"]
     for name, parts in FIELDS.items():
         action = Path("action", f"{name}.action")
         text = "\n---\n".join("\n".join(fields) for fields in parts)

@@ -24,17 +24,21 @@ AT_REST = 0.01
 class Session:
     """Simulator, controller and navigator in a set of processes, and a client.
 
-    The navigator does not lose patience, unless `navigator` gives other parameters.
+    The floor has an edge if its corners are given. The navigator does not lose patience, unless
+    `navigator` gives other parameters.
     """
 
-    def __init__(self, graph: Graph, processes: ProcessSet, **navigator: object) -> None:
+    def __init__(
+        self, graph: Graph, processes: ProcessSet, floor: str = "",
+        **navigator: object,
+    ) -> None:
         self.graph, self.processes = graph, processes
-        patient = {"controller_timeout": PATIENCE, "no_pose_timeout": PATIENCE}
+        patient = {"controller_timeout": PATIENCE, "no_progress_timeout": PATIENCE}
         given = {
             "simulator": {
                 "real_time_factor": FACTOR, "initial_state": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
             },
-            "controller": {"use_sim_time": True},
+            "controller": {"use_sim_time": True, **({"floor": floor} if floor else {})},
             "navigator": {"use_sim_time": True, **patient, **navigator},
         }
         for verb, parameters in given.items():

@@ -303,13 +303,13 @@ class ControllerNode(RunnableNode):
         if not is_new and time.monotonic() < self._goal_told + _GOAL_TOLD_EVERY:
             return
         self._goal_told = time.monotonic()
-        self._reports.goal(self._control_clock.stamp())
+        self._reports.goal(self._control_clock.stamp(), is_new)
         if not is_new:
             return
         self._save_goal()
-        pose, number = goals.goal.pose, len(goals.goals)
+        number = len(goals.goals)
         several = f"first of {number}: " if number > 1 else ""
-        self._event_log.report("goal", f"{several}{[round(float(v), 4) for v in pose]}")
+        self._event_log.report("goal", f"{several}{goals.goal}")
         self._schedule.goal_changed()
         self._start()
 

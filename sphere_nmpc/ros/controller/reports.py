@@ -89,6 +89,8 @@ class ControllerReports:
         self._tick_times: deque[float] = deque(maxlen=_KEPT)
         self._gaps: deque[float] = deque(maxlen=_KEPT)
         self._decision: Decision | None = None
+        self._is_outdated = False
+        """Whether the decision is about an earlier goal."""
         self._ticks = self._ticks_reported = 0
         self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._last_tick = float("nan")
@@ -96,7 +98,7 @@ class ControllerReports:
         self._goal = node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
         self._at_goal = node.create_publisher(Bool, "~/at_goal", LATCHED)
         self._at_goal_published: bool | None = None
-        self._published_index = 0
+        self._published_index = self._active_goal = 0
         self._eta = node.create_publisher(Float64, "~/eta", 10)
         self._path = node.create_publisher(Path, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
@@ -107,29 +109,34 @@ class ControllerReports:
         self._status_at = perf_counter()
         self._publish_arrival()
 
-    def goal(self, stamp: int) -> None:
+    def goal(self, stamp: int, is_new: bool = True) -> None:
         """Publish the goal that is aimed at from now on, `stamp` [ns], and a status with it.
+
+        One that is not new has been in force before.
 
         The status is immediate, so that each goal is shown, also one that is replaced before the
         next sampling instant.
         """
         goals = self._controller.itinerary
         if goals is not None:
-            self._published_index = goals.index
+            self._published_index, self._active_goal = goals.index, stamp
             self._goal.publish(
                 pose_to_ros(goals.goal.pose, stamp, self._robot.shell_radius, self._frame)
             )
         self._last_status = (float("-inf"), self._last_status[1])
+        if is_new:
+            self._is_outdated, self._warned = True, False
         self._publish_arrival()
         self._publish_present()
 
-    def _publish_progress(self, time: float, epoch: int) -> None:
-        """Publish the next goal of a list where the one before has been reached."""
+    def _publish_progress(self, time: float, epoch: int) -> bool:
+        """Publish the next goal of a list if the one before has been reached; return whether."""
         goals = self._controller.itinerary
         if goals is None or goals.index == self._published_index:
-            return
+            return False
         self._event_log.report("goal", f"{goals.index} of {len(goals.goals)} reached")
         self.goal(stamp_of(time, epoch))
+        return True
 
     @property
     def _mode(self) -> Mode:
@@ -144,10 +151,10 @@ class ControllerReports:
             return Mode.NO_POSE
         mode, controller = self._decision.mode, self._controller
         if mode in _OF_GOAL:
-            # The decision may be about an earlier goal.
             if controller.itinerary is None:
                 return Mode.NO_GOAL
-            if mode is Mode.AT_GOAL and not controller.at_goal:
+            is_past = mode is Mode.NO_PROGRESS and self._is_outdated
+            if is_past or (mode is Mode.AT_GOAL and not controller.at_goal):
                 return Mode.TRACKING
         return mode
 
@@ -162,11 +169,12 @@ class ControllerReports:
         # Nothing was solved since: the last solve time must not be counted again.
         values: dict[str, Any] = {"time_s": f"{time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
-        values |= goals_in_force(self._controller.itinerary)
-        if self._decision is not None and mode is not self._decision.mode:
-            values |= {"time_left_s": math.nan, "distance_left_m": math.nan}
+        if self._decision is None or self._is_outdated or mode is not self._decision.mode:
+            values |= self._status_values.goal_values(None, time)
+            values |= {"giving_up": "", "unreachable": "", "no_progress": ""}
         values["at_rest"] = not math.isnan(time) and self._controller.is_at_rest(time)
-        message = self._message if mode is self._last_status[1] else mode.value
+        is_same = mode is self._last_status[1] and not self._is_outdated
+        message = self._message if is_same else mode.value
         self._publish_status(mode, message, values)
 
     def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
@@ -177,7 +185,8 @@ class ControllerReports:
             level = ERROR if found[0].severe else max(level, WARN)
         self._status_at = perf_counter()
         values = {
-            **values, "floor_pending_s": self._floor_pending(),
+            **values, **goals_in_force(self._controller.itinerary, self._active_goal),
+            "floor_pending_s": self._floor_pending(),
             "pose_topic": self._monitor.pose_topic,
         }
         self._status.publish(status(self._name, level, message, values))
@@ -208,7 +217,7 @@ class ControllerReports:
         """
         self._ticks += 1
         self._monitor.sampled(self._ticks, self._schedule.missed, self._period)
-        self._decision = decision
+        self._decision, self._is_outdated = decision, False
         self._tick_times.append(duration)
         wall = perf_counter()
         self._gaps.append(wall - self._last_tick)
@@ -220,7 +229,8 @@ class ControllerReports:
         warnings = self._warnings(decision)
         self._lasting.update(warnings)
         self._status_values.update(decision, time)
-        self._publish_progress(time, epoch)
+        if self._publish_progress(time, epoch):
+            return  # the decision is about the goal before
         self._publish_arrival()
         last, mode = self._last_status
         if decision.mode is mode and 0.0 <= time - last < _STATUS_EVERY:

@@ -79,7 +79,8 @@ class ControllerStatus:
             "time_s": f"{time:.9g}",
             "mode": decision.mode.value,
             "strategy": self._settings.strategy,
-            **self._goal_values(decision, time),
+            **self.goal_values(decision, time),
+            "at_rest": controller.is_at_rest(time),
             "plan": plan.status.value,
             "arrival_s": plan.arrival,
             "error": decision.error,
@@ -105,6 +106,7 @@ class ControllerStatus:
                 controller.goal if decision.goal is None else decision.goal,
             ),
             "giving_up": plan.given_up,
+            "unreachable": "" if plan.unreachable is None else plan.unreachable.value,
             "no_progress": decision.no_progress,
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
@@ -114,20 +116,23 @@ class ControllerStatus:
             **({} if controller.floor is None else {"clearance_m": plan.clearance}),
         }
 
-    def _goal_values(self, decision: Decision, time: float) -> dict[str, Any]:
-        controller, plan = self._controller, decision.plan
-        left = math.nan
-        if decision.mode is Mode.AT_GOAL:
+    def goal_values(self, decision: Decision | None, time: float) -> dict[str, Any]:
+        """Return the values of the way to the goals, before a decision on them without one."""
+        controller, left, way = self._controller, math.nan, math.nan
+        if decision is not None and decision.mode is Mode.AT_GOAL:
             left = 0.0
-        elif decision.mode is Mode.TRACKING:
-            left = float(np.maximum(0.0, plan.arrival - time))  # nan where it is not known
+        elif decision is not None and decision.mode is Mode.TRACKING:
+            left = float(np.maximum(0.0, decision.plan.arrival - time))  # nan if it is not known
+        if decision is not None and decision.solved:
+            way = decision.plan.distance_left(time)
+        total_left, total_way = controller.remaining(left, way)
         return {
-            **goals_in_force(controller.itinerary),
-            "goal_speed": 0.0 if decision.goal is None else controller.goal_speed(time),
+            "goal_speed": controller.goal_speed(time),
             "time_left_s": left,
-            "distance_left_m": plan.distance_left(time) if decision.solved else math.nan,
+            "distance_left_m": way,
+            "total_time_left_s": total_left,
+            "total_distance_left_m": total_way,
             "plans": controller.plans,
-            "at_rest": controller.is_at_rest(time),
         }
 
     def _plant_values(self) -> dict[str, float]:
@@ -164,13 +169,20 @@ class ControllerStatus:
         )
 
 
-def goals_in_force(goals: Itinerary | None) -> dict[str, Any]:
-    """Return the status values that name the goals."""
+def goals_in_force(goals: Itinerary | None, active_goal: int) -> dict[str, Any]:
+    """Return the status values that name the goals, and what the one aimed at demands.
+
+    `active_goal` is the stamp [ns] of the message that was published for that one.
+    """
     if goals is None:
-        return {"goal_stamp": "", "goal_index": 0, "goal_count": 0}
+        return {
+            "goal_stamp": "", "goal_index": 0, "goal_count": 0, "goal_orientation": "",
+            "active_goal_stamp": "",
+        }
     return {
         "goal_stamp": stamp_text(goals.stamp), "goal_index": goals.index,
-        "goal_count": len(goals.goals),
+        "goal_count": len(goals.goals), "goal_orientation": goals.goal.orientation.value,
+        "active_goal_stamp": stamp_text(active_goal),
     }
 
 

@@ -2,26 +2,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Navigator node: the actions of Nav2 for the goals of the controller, if nav2_msgs is installed.
 
-actions     navigate_to_pose, navigate_through_poses
+actions     navigate_to_pose, navigate_through_poses, follow_waypoints
+services    bt_navigator/get_state, amcl/get_state
 subscribes  pose, controller/status
-publishes   goals
+publishes   goals, amcl_pose
 requests    controller/cancel
 """
 
 import secrets
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 from nav_msgs.msg import Goals
 from rclpy.action.server import ServerGoalHandle
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.control.navigation import (
     Ending,
     Navigation,
@@ -29,23 +33,27 @@ from sphere_nmpc.control.navigation import (
     Outcome,
     Requests,
 )
-from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.guarded_node import NEWEST
+from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import message_object, stamp_text, stamp_to_ros
 from sphere_nmpc.ros.navigator.action_server import GoalServer
 from sphere_nmpc.ros.navigator.requests import (
     action_types,
     feedback_of,
-    goals_of,
-    report_of,
     result_of,
+    stages_of,
 )
 from sphere_nmpc.ros.settings import FrameSettings
 
 _PERIOD = 0.1
 """Wall time between two messages of feedback [s]."""
+_LOOK_EVERY = 1.0
+"""Wall time between two looks for another navigator [s]."""
+_OFFERED = "navigate_to_pose/_action/status"
+"""Topic that each navigator publishes, those of Nav2 as well."""
 _RANDOM = 1_000_000
 """Part of a stamp [ns] that is random, so that those of a navigator that is started again differ,
 also where the clock stands still."""
@@ -55,13 +63,24 @@ _LAST = 0.5
 
 @dataclass
 class _Accepted:
-    """Goal of an action that has not ended, with the message that is sent for it."""
+    """Goal of an action that has not ended, with the messages that are sent for it."""
 
     server: GoalServer
     handle: ServerGoalHandle
-    goals: Goals
+    stages: list[Goals]
     stamp: int
     """Time of acceptance [ns; clock of the node]."""
+    goals: Goals
+    """The one that is in force, or to be."""
+
+    @property
+    def first(self) -> int:
+        """Index of the stage that it begins with."""
+        return getattr(self.handle.request, "goal_index", 0)
+
+    def stage(self, number: int) -> int:
+        """Return the index of the one that is sent after `number` others."""
+        return (self.first + number) % len(self.stages)
 
 
 class NavigatorNode(RunnableNode):
@@ -73,7 +92,9 @@ class NavigatorNode(RunnableNode):
         settings = self.parameters.declare(NavigatorSettings()).settings
         self._frame = self.parameters.declare(FrameSettings()).settings.world_frame
         self.parameters.warn_of_unknown()
+        self._waypoint_pause = settings.waypoint_pause
         self._navigation = Navigation(settings)
+        self._graph = GraphMonitor(self, self._fault_log)
         self._goals: dict[bytes, _Accepted] = {}
         """Goals that have not ended, by their ids."""
         self._pose: bytes | None = None
@@ -90,7 +111,14 @@ class NavigatorNode(RunnableNode):
             GoalServer(self, kind, name, self._check, self._begin, self._cancel)
             for name, kind in types.items()
         ]
+        # What clients of Nav2 wait for before they send a goal.
+        self._located = self.create_publisher(PoseWithCovarianceStamped, "amcl_pose", LATCHED)
+        self._offer_state("amcl", lambda: self._pose is not None)
+        self._offer_state(
+            "bt_navigator", lambda: self._navigation.hears_controller(time.monotonic())
+        )
         self.create_wall_timer(_PERIOD, self._tick)
+        self.create_wall_timer(_LOOK_EVERY, self._look)
 
     def finish(self) -> None:
         """Abort the goal, and have the controller stop the sphere on its path."""
@@ -110,16 +138,32 @@ class NavigatorNode(RunnableNode):
     def _check(self, request: Any) -> None:
         if self._ends:
             raise SphereNmpcError("the navigator ends")
-        goals_of(request, self._frame)
+        # Each would take the goal, and see that of the other take over.
+        if len(names := self._navigators()) > 1:
+            raise InvalidInputError("navigators", names_of(names), "one")
+        stages_of(request, self._frame)
 
     def _begin(self, server: GoalServer, handle: ServerGoalHandle) -> None:
-        stamp = self._new_stamp()
-        goals = goals_of(handle.request, self._frame)
-        goals.header.stamp = stamp_to_ros(stamp)
-        key = bytes(handle.goal_id.uuid)
-        self._goals[key] = _Accepted(server, handle, goals, self.get_clock().now().nanoseconds)
-        self._event_log.report("goal", f"{len(goals.goals)} poses, stamp {stamp_text(stamp)}")
-        self._carry_out(self._navigation.begin(key, stamp_text(stamp), time.monotonic()))
+        stages, key = stages_of(handle.request, self._frame), bytes(handle.goal_id.uuid)
+        accepted = _Accepted(
+            server, handle, stages, self.get_clock().now().nanoseconds, stages[0]
+        )
+        self._goals[key] = accepted
+        self._event_log.report("goal", f"{sum(len(stage.goals) for stage in stages)} poses")
+        is_route = hasattr(handle.request, "number_of_loops")
+        self._carry_out(self._navigation.begin(
+            key, self._stamps(accepted), time.monotonic(),
+            self._waypoint_pause if is_route else 0.0,
+        ))
+
+    def _stamps(self, accepted: _Accepted) -> Iterator[str]:
+        """Prepare the stages of a goal one after the other; return the stamp of each."""
+        loops = 1 + getattr(accepted.handle.request, "number_of_loops", 0)
+        for number in range(loops * len(accepted.stages) - accepted.first):
+            stamp = self._new_stamp()
+            accepted.goals = accepted.stages[accepted.stage(number)]
+            accepted.goals.header.stamp = stamp_to_ros(stamp)
+            yield stamp_text(stamp)
 
     def _cancel(self, handle: ServerGoalHandle) -> bool:
         return self._navigation.cancel(bytes(handle.goal_id.uuid), time.monotonic())
@@ -128,24 +172,53 @@ class NavigatorNode(RunnableNode):
         self._pose = message
 
     def _receive_status(self, message: DiagnosticStatus) -> None:
-        report = report_of({pair.key: pair.value for pair in message.values})
+        report = GoalReport.of({pair.key: pair.value for pair in message.values})
         self._carry_out(self._navigation.receive(report, time.monotonic()))
 
     def _tick(self) -> None:
         self._carry_out(self._navigation.update(time.monotonic()))
         self._event_log.flush()
         self._fault_log.flush()
-        goal = self._navigation.goal
-        if goal is None:
+        goal, report = self._navigation.goal, self._navigation.report
+        is_awaited = self._located.get_subscription_count() > 0
+        if self._pose is None or not (is_awaited or report):
+            return
+        pose = message_object(self._pose, PoseStamped)
+        if is_awaited:
+            located = PoseWithCovarianceStamped(header=pose.header)
+            located.pose.pose = pose.pose
+            self._located.publish(located)
+        if goal is None or report is None:
             return
         accepted = self._goals[goal]
-        pose = None if self._pose is None else message_object(self._pose, PoseStamped)
-        feedback = feedback_of(
-            accepted.server.action_type, self._navigation.report,
+        accepted.handle.publish_feedback(feedback_of(
+            accepted.server.action_type, report,
             (self.get_clock().now().nanoseconds - accepted.stamp) / NANOSECONDS,
-            self._navigation.replans, len(accepted.goals.goals), pose,
-        )
-        accepted.handle.publish_feedback(feedback)
+            len(accepted.goals.goals), accepted.stage(self._navigation.stage), pose,
+        ))
+
+    def _navigators(self) -> list[str]:
+        """Return the names of the navigators in this namespace, this one among them."""
+        return self._graph.publishers(self.resolve_topic_name(_OFFERED))
+
+    def _look(self) -> None:
+        effect = "goals are rejected meanwhile"
+        self._graph.update(several_publishers(
+            self.resolve_topic_name(_OFFERED), self._navigators(), effect
+        ))
+
+    def _offer_state(self, name: str, is_active: Callable[[], bool]) -> None:
+        """Offer the state of a node of Nav2 whose part this one has."""
+
+        def answer(_: GetState.Request, response: GetState.Response) -> GetState.Response:
+            active, inactive = State.PRIMARY_STATE_ACTIVE, State.PRIMARY_STATE_INACTIVE
+            response.current_state = (
+                State(id=active, label="active") if is_active()
+                else State(id=inactive, label="inactive")
+            )
+            return response
+
+        self.create_service(GetState, f"{name}/get_state", answer)
 
     def _carry_out(self, requests: Requests) -> None:
         for ending in requests.ended:
@@ -159,8 +232,17 @@ class NavigatorNode(RunnableNode):
 
     def _end(self, ending: Ending) -> None:
         accepted = self._goals.pop(ending.goal)
-        result = result_of(accepted.server.action_type, ending)
+        if ending.outcome is Outcome.ABORTED and len(names := self._navigators()) > 1:
+            reason = f"{ending.reason}; there are several navigators: {names_of(names)}"
+            ending = replace(ending, reason=reason)
+        result = result_of(
+            accepted.server.action_type, ending, accepted.stages, accepted.first
+        )
         accepted.server.finish(accepted.handle, ending.outcome, result)
+        if len(accepted.stages) > 1:
+            for missed in ending.missed:
+                number = accepted.stage(missed.stage) + 1
+                self._fault_log.report("waypoint missed", f"{number}: {missed.reason}")
         is_fault = ending.outcome is Outcome.ABORTED
         log = self._fault_log if is_fault else self._event_log
         log.report(f"goal {ending.outcome.value}", ending.reason)

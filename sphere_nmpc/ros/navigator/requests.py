@@ -1,15 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of the actions of Nav2 and of the controller's status, checked and translated."""
+"""Messages of the actions of Nav2, checked and translated."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Goals
 
-from sphere_nmpc.control.navigation import Ending, GoalReport, Outcome
+from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
+from sphere_nmpc.control.navigation import Ending, Missed, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import framed_poses_from_ros
@@ -17,6 +17,8 @@ from sphere_nmpc.ros.messages import framed_poses_from_ros
 _INSTALL = "apt install ros-jazzy-nav2-msgs"
 _LARGEST = 2**15 - 1
 """Largest count in a message of the actions."""
+_LONGEST = 2**31 - 1
+"""Longest duration in a message [s], which stands for one that is not known."""
 
 
 class MissingPackageError(SphereNmpcError):
@@ -29,22 +31,27 @@ def action_types() -> dict[str, Any]:
     `MissingPackageError` says how to install the package where it is missing.
     """
     try:
-        from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
+        from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
     except ImportError as error:
         missing = "'nav2_msgs' is not installed" if error.name == "nav2_msgs" else str(error)
         raise MissingPackageError(f"{missing}; {_INSTALL}") from None
-    return {"navigate_to_pose": NavigateToPose, "navigate_through_poses": NavigateThroughPoses}
+    return {
+        "navigate_to_pose": NavigateToPose, "navigate_through_poses": NavigateThroughPoses,
+        "follow_waypoints": FollowWaypoints,
+    }
 
 
-def goals_of(request: Any, frame: str) -> Goals:
-    """Return the poses of a goal of either action, all of them in `frame`, without a stamp.
+def stages_of(request: Any, frame: str) -> list[Goals]:
+    """Return what is to be sent for a goal of an action, in `frame`, without a stamp.
+
+    That is one message with all poses, and for `FollowWaypoints` one for each of them.
 
     The poses of `NavigateThroughPoses` are a list or, in newer versions of Nav2, a message Goals,
     whose frame is that of poses without one. `InvalidStateError` or `InvalidInputError` is raised
     for a goal that cannot be followed.
     """
-    if request.behavior_tree:
-        raise InvalidInputError("behavior_tree", request.behavior_tree, "none")
+    if tree := getattr(request, "behavior_tree", ""):
+        raise InvalidInputError("behavior_tree", tree, "none")
     common = ""
     if hasattr(request, "pose"):
         poses = [request.pose]
@@ -57,65 +64,84 @@ def goals_of(request: Any, frame: str) -> Goals:
     framed_poses_from_ros(poses, common, frame)
     for pose in poses:
         pose.header.frame_id = frame
-    goals = Goals(goals=poses)
-    goals.header.frame_id = frame
-    return goals
+    is_route = hasattr(request, "number_of_loops")
+    first = request.goal_index if is_route else 0
+    if first >= len(poses):
+        raise InvalidInputError("goal_index", first, f"0 to {len(poses) - 1}")
+    stages = [Goals(goals=some) for some in ([[pose] for pose in poses] if is_route else [poses])]
+    for goals in stages:
+        goals.header.frame_id = frame
+    return stages
 
 
-def report_of(values: Mapping[str, str]) -> GoalReport:
-    """Return what a status of the controller with these values says about its goals.
+def result_of(kind: Any, ending: Ending, waypoints: Sequence[Goals], first: int = 0) -> Any:
+    """Return the result of an action, with code and reason as far as this version has them.
 
-    Before its first sampling instant a controller tells nothing of plans and commands.
+    `waypoints` are the stages of the goal, which begins with the one of index `first`.
     """
-    try:
-        return GoalReport(
-            values["goal_stamp"], int(values["goal_index"]), values["mode"],
-            values.get("at_rest") == "true", int(values.get("plans", 0)),
-            float(values.get("time_left_s", math.nan)),
-            float(values.get("distance_left_m", math.nan)),
-        )
-    except (KeyError, ValueError) as error:
-        expected = "goal_stamp, goal_index, mode, plans, time_left_s, distance_left_m"
-        raise InvalidInputError("values of controller/status", str(error), expected) from None
-
-
-def result_of(kind: Any, ending: Ending) -> Any:
-    """Return the result of an action, with code and reason as far as this version has them."""
     result = kind.Result()
+    if hasattr(result, "missed_waypoints"):
+        result.missed_waypoints = [
+            _missed_waypoint(missed, (first + missed.stage) % len(waypoints), waypoints)
+            for missed in ending.missed
+        ]
     if ending.outcome is Outcome.ABORTED:
         if hasattr(result, "error_code"):
-            result.error_code = getattr(kind.Result, "UNKNOWN", 1)
+            result.error_code = _code(kind, ending)
         if hasattr(result, "error_msg"):
             result.error_msg = ending.reason
     return result
 
 
-def feedback_of(
-    kind: Any, report: GoalReport | None, since: float, replans: int, count: int, pose: Any
-) -> Any:
-    """Return the feedback of an action; what is not known yet is 0.
+def _code(kind: Any, ending: Ending) -> int:
+    """Return the code of a goal that was aborted."""
+    unknown: int = getattr(kind.Result, "UNKNOWN", 1)
+    if not ending.missed or hasattr(kind.Result(), "missed_waypoints"):
+        return unknown
+    code = ERROR_CODES.get(ending.missed[-1].cause, unknown)
+    # ComputePathThroughPoses has codes of its own, in the same order.
+    return code + 100 if 200 <= code < 300 and hasattr(kind.Goal(), "poses") else code
 
-    `since` is the time since the goal was accepted [s], `count` the number of its poses, `pose`
-    the newest one of the sphere, or None.
+
+def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Goals]) -> Any:
+    """Return the message about a waypoint that was missed, as this version of Nav2 has it."""
+    code, pose = ERROR_CODES.get(missed.cause, 1), waypoints[index].goals[0]
+    try:
+        from nav2_msgs.msg import MissedWaypoint
+    except ImportError:
+        from nav2_msgs.msg import WaypointStatus
+
+        return WaypointStatus(
+            waypoint_status=WaypointStatus.FAILED, waypoint_index=index, waypoint_pose=pose,
+            error_code=code, error_msg=missed.reason,
+        )
+    return MissedWaypoint(index=index, goal=pose, error_code=code)
+
+
+def feedback_of(
+    kind: Any, report: GoalReport, since: float, count: int, waypoint: int, pose: Any
+) -> Any:
+    """Return the feedback of an action.
+
+    `since` is the time since the goal was accepted [s], `count` the number of its poses,
+    `waypoint` the index of the one of `follow_waypoints`, `pose` the newest one of the sphere.
     """
     feedback = kind.Feedback()
-    if pose is not None:
-        feedback.current_pose = pose
+    if hasattr(feedback, "current_waypoint"):
+        feedback.current_waypoint = waypoint
+        return feedback
+    feedback.current_pose = pose
     feedback.navigation_time = _duration(since)
-    feedback.number_of_recoveries = min(replans, _LARGEST)
-    done = 0
-    if report is not None:
-        done = report.index
-        feedback.estimated_time_remaining = _duration(report.time_left)
-        if math.isfinite(report.distance_left):
-            feedback.distance_remaining = report.distance_left
+    feedback.estimated_time_remaining = _duration(report.time_left)
+    feedback.distance_remaining = report.distance_left
     if hasattr(feedback, "number_of_poses_remaining"):
-        feedback.number_of_poses_remaining = min(max(0, count - done), _LARGEST)
+        feedback.number_of_poses_remaining = min(max(0, count - report.index), _LARGEST)
     return feedback
 
 
 def _duration(time: float) -> Duration:
-    """Return a time [s] as a message; 0 where it is not known or negative."""
-    whole = round(time * NANOSECONDS) if math.isfinite(time) else 0
-    seconds, nanoseconds = divmod(max(0, whole), NANOSECONDS)
-    return Duration(sec=min(seconds, 2**31 - 1), nanosec=nanoseconds)
+    """Return a time [s] from 0 on as a message; the longest one where it is not known."""
+    if not time < _LONGEST:
+        return Duration(sec=_LONGEST)
+    seconds, nanoseconds = divmod(max(0, round(time * NANOSECONDS)), NANOSECONDS)
+    return Duration(sec=seconds, nanosec=nanoseconds)

@@ -30,8 +30,6 @@ _FAR = 2.5
 _STEADY = 1e4
 """Distance of an intermediate goal to which the sphere rolls steadily [m]: the direction to one at
 100 km would have to be planned to more digits than the solver attains."""
-_MANOEUVRE = 2.0
-"""Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
 """Momentum [rad/s] below which its direction is no longer followed ..."""
 _LEAST_DIRECTED = 0.5
@@ -106,8 +104,7 @@ class HeldGoal:
             # The plan ends without momentum along the body's z axis; the torque has to be held.
             return np.zeros(3)
         way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
-        speed = SteadyRolling.of(situation.constants, self._max_speed).speed
-        duration = _MANOEUVRE + way / speed
+        duration = SteadyRolling.of(situation.constants, self._max_speed).duration(way)
         return after_slope(situation.momentum, situation.disturbance, duration)
 
     def _unloading_near(self, situation: Situation, holding: bool) -> Vector | None:

@@ -21,6 +21,8 @@ the displacement over them stands for that over all turns."""
 
 _NEARLY = 0.9
 """Share of the speed limit beyond which a rotor counts as being at it."""
+_MANOEUVRE = 2.0
+"""Time beyond that of steady rolling that a motion takes [s]."""
 _SAME = 1e-9
 """Times that count as the same [s]: knots farther apart stay apart, whatever is added to them."""
 
@@ -50,6 +52,10 @@ class SteadyRolling:
     def turn_length(self) -> float:
         """Distance of a turn of the shell [m]."""
         return self.speed * self.turn_time
+
+    def duration(self, way: float) -> float:
+        """Return about how long a motion over `way` [m] from rest to rest takes [s]."""
+        return _MANOEUVRE + way / self.speed
 
 
 def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int]:

@@ -26,7 +26,7 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign, s
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.clearance import stop_before_contact
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan, PlanStatus, Unreachable
 from sphere_nmpc.strategy.rest import (
     SATURATED,
     come_to_rest,
@@ -180,9 +180,14 @@ class TimeOptimalStrategy:
             plan = come_to_rest(situation, robot, "saturated", status)
             return dataclasses.replace(plan, given_up=SATURATED)
         plan = self._stop(situation)
+        floor = situation.floor
         if self._no_way:
-            return dataclasses.replace(plan, given_up=self._no_way, message="no way to the goal")
-        if situation.floor is not None:
+            may_move = floor is None or floor.lasting is not floor
+            return dataclasses.replace(
+                plan, given_up=self._no_way, message="no way to the goal",
+                unreachable=None if may_move else Unreachable.NO_WAY,
+            )
+        if floor is not None:
             hold = plan.hold.delayed(-situation.time)
             given_up = stop_before_contact(situation, hold)
             if not given_up and state.fruitless >= _MANY:

@@ -12,6 +12,7 @@ import numpy as np
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
+from sphere_sim.output.arguments import finite, not_negative
 from sphere_sim.ros.session.goal_messages import (
     GoalMessage,
     goals_message,
@@ -98,26 +99,26 @@ def _parser() -> argparse.ArgumentParser:
         "arguments are wrong.",
         epilog="ROS arguments follow --ros-args, for example: --ros-args -r __ns:=/left",
     )
-    parser.add_argument("position", nargs="*", type=float, metavar="X Y", help="position [m]")
+    parser.add_argument("position", nargs="*", type=finite, metavar="X Y", help="position [m]")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
-        "--quaternion", nargs=4, type=float, metavar=("W", "X", "Y", "Z"),
+        "--quaternion", nargs=4, type=finite, metavar=("W", "X", "Y", "Z"),
         help="orientation, scalar first, body to world (default: 1 0 0 0)",
     )
     how.add_argument(
-        "--yaw", type=float, metavar="ANGLE", help="orientation about the vertical [rad]"
+        "--yaw", type=finite, metavar="ANGLE", help="orientation about the vertical [rad]"
     )
     how.add_argument("--point", action="store_true", help="any orientation at that position")
     how.add_argument(
         "--case", type=int, choices=sorted(PAPER_CASES), help="goal of a case of the paper"
     )
     parser.add_argument(
-        "--then", nargs="+", type=float, action="append", default=[], metavar=("X Y", "YAW"),
+        "--then", nargs="+", type=finite, action="append", default=[], metavar=("X Y", "YAW"),
         help="another goal after that, upright with an angle about the vertical; may be repeated",
     )
     parser.add_argument("--degrees", action="store_true", help="angles are in degrees")
     parser.add_argument(
-        "--timeout", type=float, default=GoalRequest.timeout, metavar="S",
+        "--timeout", type=not_negative, default=GoalRequest.timeout, metavar="S",
         help="how long to wait for a controller [s] (default: %(default)g)",
     )
     parser.add_argument(
@@ -149,7 +150,7 @@ def _about_vertical(
 ) -> tuple[float, float, float, float]:
     """Return the quaternion wxyz of a turn about the vertical by an angle of an option."""
     turn, unit = (360.0, "deg") if degrees else (2.0 * math.pi, "rad")
-    if not abs(angle) <= _ROUNDED * turn:
+    if abs(angle) > _ROUNDED * turn:
         hint = "" if degrees else "; --degrees is for an angle in degrees"
         parser.error(f"{option}: given {angle:g} {unit}, expected {-turn:.4g} to {turn:.4g}{hint}")
     half = math.pi * angle / turn

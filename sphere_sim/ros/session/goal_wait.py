@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterator
 
 from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.goal_report import GoalReport, Patience
+from sphere_nmpc.control.navigation import NavigatorSettings
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_sim.recording.message_fields import number
 from sphere_sim.ros.session.controller_status import ControllerStatus
@@ -41,6 +43,7 @@ def wait_until_reached(
     # Until the next decision a status may have the new goals with the mode of the ones before.
     sent = number(status.values, "time_s")
     without: float | None = None
+    patience = Patience(NavigatorSettings().no_progress_timeout)
     for _ in _new_messages(status, spin):
         before, instant = instant, number(status.values, "time_s")
         # A controller that was started anew may count from its own start.
@@ -56,8 +59,9 @@ def wait_until_reached(
         without = None
         if not sender.is_in_force:
             raise NotReachedError("another goal took over")
-        if status.mode == Mode.DISABLED.value:
-            raise NotReachedError(f"the controller does not pursue it: {status.obstacle()}")
+        if reason := patience.exhausted(GoalReport.of(status.values), time.monotonic()):
+            told = status.obstacle() or reason
+            raise NotReachedError(f"the controller does not pursue it: {told}")
         if status.mode == Mode.AT_GOAL.value and instant != sent:
             break
     return elapsed

@@ -33,6 +33,21 @@ def until_index(loop: SampledLoop, index: int) -> None:
         loop.run(loop.settings.control_period)
 
 
+def test_what_remains_is_that_of_all_goals() -> None:
+    controller = SampledLoop(START).controller
+    assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no goal"
+    controller.set_goals(itinerary(*SQUARE))
+    assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no pose"
+    controller.observe(0.0, START)
+    time, way = controller.remaining(math.nan, math.nan)
+    assert way == pytest.approx(0.4 + 0.3 + 0.4), "along straight lines"
+    assert time == pytest.approx(3 * 2.0 + way / 0.742, rel=1e-3)
+    planned = controller.remaining(3.5, 0.6)
+    assert planned == pytest.approx((3.5 + 2 * 2.0 + 0.7 / 0.742, 0.6 + 0.7), rel=1e-3)
+    resting = controller.remaining(math.nan, 0.0)
+    assert resting == pytest.approx((2 * 2.0 + 0.7 / 0.742, 0.7), rel=1e-3)
+
+
 def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
     loop = SampledLoop(START)
     controller = loop.controller

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Goals of actions against a controller that is written out here, and against random events."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import pytest
@@ -9,15 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.control.navigation import (
-    GoalReport,
+    Missed,
     Navigation,
     NavigatorSettings,
     Outcome,
     Requests,
 )
 
-SETTINGS = NavigatorSettings(controller_timeout=5.0, no_pose_timeout=20.0)
+SETTINGS = NavigatorSettings(controller_timeout=5.0, no_progress_timeout=20.0)
 STEP = 0.1  # s
 FOREIGN = "7.000000000"
 A, B, C = b"A", b"B", b"C"
@@ -33,19 +35,31 @@ class World:
     mode: Mode = Mode.NO_GOAL
     moves: float = 0.0
     """Time that the sphere still needs, to the goal or to rest [s]."""
+    unreachable: set[str] = field(default_factory=set)
+    """Stamps of goals that the controller does not pursue."""
+    is_final: bool = True
+    """Whether no area that may move is the cause of that."""
     plans: int = 0
     lives: bool = True
     takes_goals: bool = True
     sent: list[str] = field(default_factory=list)
     cancels: int = 0
     ended: dict[bytes, tuple[Outcome, str]] = field(default_factory=dict)
+    missed: dict[bytes, tuple[Missed, ...]] = field(default_factory=dict)
+    stamps: list[str] = field(default_factory=list)
+    """Those of all stages that were begun."""
     _under_way: str | None = None
     _cancel_under_way: bool = False
     _stamps: dict[bytes, str] = field(default_factory=dict)
 
-    def begin(self, goal: bytes) -> None:
-        self._stamps[goal] = f"{len(self._stamps) + 1}.000000000"
-        self._do(self.navigation.begin(goal, self._stamps[goal], self.now))
+    def begin(self, goal: bytes, stages: int = 1, pause: float = 0.0) -> None:
+        def stamps() -> Iterator[str]:
+            for _ in range(stages):
+                self.stamps.append(f"{len(self.stamps) + 1}.000000000")
+                self._stamps[goal] = self.stamps[-1]
+                yield self.stamps[-1]
+
+        self._do(self.navigation.begin(goal, stamps(), self.now, pause))
 
     def stamp(self, goal: bytes) -> str:
         return self._stamps[goal]
@@ -56,6 +70,8 @@ class World:
     def take(self, stamp: str) -> None:
         """Put a goal in force at the controller."""
         self.in_force, self.mode, self.moves = stamp, Mode.TRACKING, 2.0
+        if stamp in self.unreachable:
+            self.mode, self.moves = Mode.NO_PROGRESS, 0.0
         self.plans += 1
 
     def drop(self) -> None:
@@ -88,14 +104,17 @@ class World:
         if self.mode is Mode.TRACKING and self.moves == 0.0:
             self.mode = Mode.AT_GOAL
         at_rest = self.moves == 0.0
+        stands = self.mode is Mode.NO_PROGRESS
         self._do(self.navigation.receive(GoalReport(
-            self.in_force, 0, self.mode.value, at_rest, self.plans, self.moves, self.moves
+            self.in_force, 0, self.mode.value, at_rest, self.plans, self.moves, self.moves,
+            "goal occupied" if stands and self.is_final else "", "it is occupied" if stands else ""
         ), self.now))
 
     def _do(self, requests: Requests) -> None:
         for ending in requests.ended:
             assert ending.goal not in self.ended, "a second end"
             self.ended[ending.goal] = ending.outcome, ending.reason
+            self.missed[ending.goal] = ending.missed
         if requests.cancel:
             self.cancels += 1
             self._cancel_under_way = True
@@ -320,20 +339,115 @@ def test_goal_is_not_aborted_for_poses_that_were_missing_before_it(world) -> Non
     assert not world.ended
 
 
-def test_replans_are_counted_from_the_first_plan_on(world) -> None:
-    world.plans = 40
+GIVEN_UP = "no progress towards the goal: it is occupied"
+
+
+def test_goal_that_cannot_be_reached_is_aborted_at_once_and_not_followed_later(world) -> None:
+    world.unreachable.add("1.000000000")
     world.begin(A)
-    world.step(0.5)
-    assert world.navigation.replans == 0
-    world.plans += 2
-    world.step()
-    assert world.navigation.replans == 2
-    world.lives = False
+    world.step(0.2)
+    assert world.ended == {A: (Outcome.ABORTED, GIVEN_UP)}
+    assert world.missed[A] == (Missed(0, "goal occupied", GIVEN_UP),)
     world.step(1.0)
-    world.restart(kept=True)
-    world.plans = 3
-    world.step()
-    assert world.navigation.replans == 2
+    assert world.in_force == "", "an area that moves on must not let the sphere start"
+
+
+def test_goal_in_the_way_of_which_something_is_waits_and_is_aborted_in_the_end(world) -> None:
+    world.is_final = False
+    world.unreachable.add("1.000000000")
+    world.begin(A)
+    world.step(19.0)
+    assert not world.ended
+    world.step(2.0)
+    assert world.ended == {A: (Outcome.ABORTED, f"{GIVEN_UP}, for 20 s")}
+    assert world.missed[A][0].cause == Mode.NO_PROGRESS.value
+
+
+def test_goal_goes_on_where_what_was_in_the_way_has_moved(world) -> None:
+    world.is_final = False
+    world.unreachable.add("1.000000000")
+    world.begin(A)
+    world.step(19.0)
+    world.unreachable.clear()
+    world.take(world.in_force)
+    world.step(3.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED
+
+
+@pytest.mark.parametrize("mode", [Mode.SATURATED, Mode.FALLBACK, Mode.POSE_JUMPED])
+def test_no_mode_keeps_a_goal_for_ever(world, mode) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.mode = mode
+    world.step(21.0)
+    assert world.ended == {A: (Outcome.ABORTED, f"{mode.value}, for 20 s")}
+
+
+def test_goal_ends_at_once_where_the_controller_is_disabled(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.mode = Mode.DISABLED
+    world.step(0.1)
+    assert world.ended == {A: (Outcome.ABORTED, "disabled")}
+
+
+def test_stages_are_sent_in_order_with_a_pause_at_each(world) -> None:
+    world.begin(A, stages=3, pause=1.0)
+    world.step(2.5)
+    assert (world.mode, world.navigation.stage) == (Mode.AT_GOAL, 0), "pause"
+    world.step(1.0)
+    assert (world.mode, world.navigation.stage) == (Mode.TRACKING, 1)
+    world.step(6.0)
+    assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
+    assert world.sent == world.stamps and len(world.stamps) == 3 and not world.missed[A]
+    world.step(5.0)
+    assert world.in_force == world.stamps[-1], "it stays there"
+
+
+@pytest.mark.parametrize("missed", [{0}, {1}, {2}, {0, 2}])
+def test_stage_that_cannot_be_reached_is_missed_and_the_next_one_sent(world, missed) -> None:
+    world.unreachable = {f"{stage + 1}.000000000" for stage in missed}
+    world.begin(A, stages=3)
+    world.step(10.0)
+    assert world.ended == {A: (Outcome.SUCCEEDED, f"{len(missed)} of 3 missed")}
+    assert [one.stage for one in world.missed[A]] == sorted(missed)
+    assert (world.in_force == "") is (2 in missed), "what was missed is not followed later"
+
+
+def test_goal_of_which_no_stage_can_be_reached_is_aborted(world) -> None:
+    world.unreachable = {"1.000000000", "2.000000000"}
+    world.begin(A, stages=2)
+    world.step(3.0)
+    assert world.ended == {A: (Outcome.ABORTED, GIVEN_UP)}
+    assert len(world.missed[A]) == 2
+
+
+def test_what_no_other_stage_would_mend_ends_the_goal(world) -> None:
+    world.begin(A, stages=3)
+    world.step(3.5)
+    world.mode = Mode.DISABLED
+    world.step(0.1)
+    assert world.ended == {A: (Outcome.ABORTED, "disabled")} and len(world.stamps) == 2
+
+
+def test_goal_can_be_cancelled_and_taken_over_during_a_pause(world) -> None:
+    world.begin(A, stages=2, pause=5.0)
+    world.step(4.0)
+    assert world.mode is Mode.AT_GOAL and not world.ended
+    assert world.navigation.cancel(A, world.now)
+    world.step(1.0)
+    assert world.outcome(A) is Outcome.CANCELED and world.in_force == ""
+    world.begin(B, stages=2, pause=5.0)
+    world.step(4.0)
+    world.begin(C)
+    assert world.ended[B] == (Outcome.ABORTED, "a newer goal has taken over")
+    world.step(4.0)
+    assert world.outcome(C) is Outcome.SUCCEEDED
+    world.begin(b"D", stages=2, pause=5.0)
+    world.step(4.0)
+    world.take(FOREIGN)
+    world.step(0.1)
+    assert world.ended[b"D"] == (Outcome.ABORTED, "another goal has taken over")
 
 
 def test_abandoned_goal_ends_and_is_dropped(world) -> None:
@@ -346,16 +460,19 @@ def test_abandoned_goal_ends_and_is_dropped(world) -> None:
     assert world.navigation.abandon("again") == Requests()
 
 
-EVENTS = ("begin", "cancel", "foreign", "kill", "restart", "restart with memory", "lose", "drop")
+EVENTS = (
+    "begin", "begin several", "cancel", "foreign", "kill", "restart", "restart with memory",
+    "lose", "drop",
+)
 
 
 @given(st.lists(st.tuples(st.sampled_from(EVENTS), st.integers(0, 25)), max_size=25))
 def test_each_goal_has_one_end_whatever_happens(events) -> None:
     world, begun = World(), 0
     for event, steps in events:
-        if event == "begin":
+        if event in ("begin", "begin several"):
             begun += 1
-            world.begin(str(begun).encode())
+            world.begin(str(begun).encode(), 1 + 2 * (event == "begin several"), 0.5)
         elif event == "cancel" and world.navigation.goal:
             assert world.navigation.cancel(world.navigation.goal, world.now)
         elif event == "foreign" and world.lives:
@@ -369,10 +486,11 @@ def test_each_goal_has_one_end_whatever_happens(events) -> None:
         elif event == "drop" and world.lives:
             world.drop()
         world.step(steps * STEP)
-    world.step(12.0)
+    world.step(20.0)
     assert len(world.ended) == begun
     # What is followed in the end is a goal that was reached, or one of somebody else.
     followed = {world.stamp(goal): goal for goal in world.ended}.get(world.in_force)
+    assert followed or world.in_force in ("", FOREIGN) or not world.lives
     world.step(3.0)
     assert not world.lives or followed is None or (
         world.in_force == "" or world.outcome(followed) is Outcome.SUCCEEDED

@@ -153,7 +153,7 @@ def test_a_floor_is_freed_with_all_that_was_kept_with_it() -> None:
         situation = Situation(0.0, np.append(goal, (1, 0, 0, 0)), np.append(goal, (1, 0, 0, 0)),
                               np.zeros(2), RobotParameters().lumped, floor=floor)
         assert way_to(floor, goal) is way_to(floor, goal)
-        refusal(situation)
+        refusal(situation, floor)
         needed_distance(situation, floor, Margin.FOUND)
         assert len(floor.kept) == 3
         freed = weakref.ref(floor)

@@ -209,7 +209,7 @@ def test_a_goal_at_just_the_distance_is_not_refused_as_the_learnt_radius_varies(
         situation = Situation(
             0.0, without_momentum(pose(3.0, 2.0)), goal, np.zeros(2), constants, floor=floor
         )
-        assert not refusal(situation)
+        assert refusal(situation, floor) is None
 
 
 def test_a_command_that_begins_late_is_certified_as_it_is_sent() -> None:

@@ -14,6 +14,7 @@ from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -29,7 +30,7 @@ from sphere_nmpc.strategy.clearance import (
     sampled_path,
 )
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import PlanStatus
+from sphere_nmpc.strategy.plan import PlanStatus, Unreachable
 from sphere_nmpc.strategy.time_optimal.searches import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.straight import straight_hold
@@ -185,19 +186,47 @@ def test_a_goal_near_a_wall_is_reached() -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-@pytest.mark.parametrize(("x", "y", "reason"), [
-    (3.05, 0.5, "it is occupied"),
-    (-1.0, 0.5, "outside of the floor"),
-    (0.31, 2.0, "0.31 m from what is occupied, less than radius and clearance, 0.32 m"),
+@pytest.mark.parametrize(("x", "y", "kind", "reason"), [
+    (3.05, 0.5, Unreachable.GOAL_OCCUPIED, "it is occupied"),
+    (-1.0, 0.5, Unreachable.GOAL_OUTSIDE, "outside of the floor"),
+    (0.31, 2.0, Unreachable.GOAL_OCCUPIED,
+     "0.31 m from what is occupied, less than radius and clearance, 0.32 m"),
 ])
 def test_goals_that_cannot_be_are_refused(
-    x: float, y: float, reason: str, strategy: str
+    x: float, y: float, kind: Unreachable, reason: str, strategy: str
 ) -> None:
     settings = ControllerSettings(strategy=strategy)
     loop = Loop(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y), settings)
     loop.run(1.0)
     assert reason in loop.given_up
+    assert loop.decision.plan.unreachable is kind
     assert (loop.places == loop.places[0]).all()
+
+
+def with_area(floor: Floor, area: Vector) -> Floor:
+    """Return a floor with an area to keep out of."""
+    grid = Layers(map=floor.grid).with_keepout(1, area).grid(RADIUS)
+    assert grid is not None
+    return Floor(grid, RADIUS, floor.clearance)
+
+
+def test_what_an_area_keeps_from_its_goal_may_reach_it_later() -> None:
+    """Of what stands on the map itself no area changes anything."""
+    area = np.array([[3.5, -1.0], [5.5, -1.0], [5.5, 5.0], [3.5, 5.0]])
+    for walls, goal, kind in (
+        (DOORWAY, pose(4.5, 1.0), None),  # in the area
+        (DOORWAY, pose(3.05, 0.5), Unreachable.GOAL_OCCUPIED),
+        ([(3.0, 0.0, 3.1, 4.0)], pose(5.9, 1.0), Unreachable.GOAL_OCCUPIED),  # too near the edge
+    ):
+        loop = Loop(with_area(floor_of(walls), area), pose(1.0, 3.0), goal)
+        loop.run(1.0)
+        assert loop.given_up and loop.decision.plan.unreachable is kind
+    loop = Loop(with_area(floor_of(DOORWAY), area), pose(4.5, 3.0), pose(1.0, 1.0))
+    loop.run(0.5)
+    assert "place of the sphere" in loop.given_up and loop.decision.plan.unreachable is None
+    loop = Loop(floor_of(DOORWAY), pose(3.05, 0.5), pose(1.0, 1.0))
+    loop.run(0.5)
+    assert loop.decision.plan.unreachable is Unreachable.START_OCCUPIED
 
 
 def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
@@ -206,6 +235,7 @@ def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
     loop = Loop(closed, pose(1.0, 3.0), goal)
     loop.run(3.0)
     assert "no way" in loop.given_up
+    assert loop.decision.plan.unreachable is Unreachable.NO_WAY
     assert (loop.places == loop.places[0]).all()
     loop.controller.floor = floor_of(DOORWAY)
     loop.run(12.0)

@@ -9,7 +9,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import navigation_messages
 import pytest
+from action_msgs.msg import GoalStatusArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import (
     Point32,
@@ -28,6 +30,7 @@ from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.ros.recorder.node import RecorderNode
@@ -202,6 +205,12 @@ def recorded_status_of_another_type(graph) -> None:
     graph.add(RecorderNode([Parameter("record_on_start", value=False)]))
 
 
+def two_navigators(graph) -> None:
+    navigation_messages.provide()
+    graph.add(NavigatorNode())
+    graph.probe.create_publisher(GoalStatusArray, "navigate_to_pose/_action/status", LATCHED)
+
+
 MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     forgotten_use_sim_time: ("controller", "in simulated time"),
     two_simulators: ("controller", "/clock: given …"),
@@ -218,6 +227,7 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     lockstep_without_controller: ("simulator", "time waits"),
     controller_without_lockstep: ("simulator", "does not run in lockstep"),
     robots_apart: ("simulator", "as in this node"),
+    two_navigators: ("navigator", "goals are rejected"),
     recorder_without_the_namespace: ("recorder", "start this node with -r __ns"),
 }
 """What a beginner does wrong, which node warns, and words of the row that documents it."""

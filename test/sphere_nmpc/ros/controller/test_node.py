@@ -19,9 +19,12 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.command_sender import CommandSender
@@ -33,6 +36,7 @@ from sphere_nmpc.ros.messages import (
     pose_from_ros,
     pose_to_ros,
     stamp_from_ros,
+    stamp_text,
     stamp_to_ros,
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -277,6 +281,26 @@ def test_each_goal_is_shown_at_once_and_not_as_reached_with_the_one_before(robot
         assert status["mode"] != "at the goal"
 
 
+def test_new_goal_shows_nothing_of_one_that_was_given_up(robot) -> None:
+    free = Grid(np.zeros((60, 60), dtype=bool), 0.1, (-1.0, -6.0, 0.0))
+    robot.node.controller.floor = Floor(free, 0.3, 0.02)
+    robot.send_goal(upright_state(-9.0, 0.0, 0.0))
+    robot.pass_time(8.0)
+    status = robot.status()
+    assert (status["mode"], status["unreachable"]) == (
+        "no progress towards the goal", "goal outside"
+    )
+    assert float(status["total_distance_left_m"]) > 9.0
+    robot.node.controller.floor = None
+    robot.statuses.clear()
+    robot.goal_sender.publish(pose_to_ros(CASE.goal, 7, 0.3))
+    robot.graph.until(lambda: shown(robot, "0.000000007"))
+    first = shown(robot, "0.000000007")[0]
+    assert first["mode"] == "on the way to the goal"
+    assert first["unreachable"] == first["giving_up"] == first["no_progress"] == ""
+    assert float(first["total_time_left_s"]) > 2.0, "along a straight line until there is a plan"
+
+
 def shown(robot, stamp: str) -> list[dict[str, str]]:
     """Return the statuses that show the goal with a stamp."""
     return [values for values in map(values_of, robot.statuses) if values["goal_stamp"] == stamp]
@@ -293,6 +317,7 @@ def test_cancel_stops_and_leaves_no_goal(robot) -> None:
     robot.pass_time(1.0)
     status = robot.status()
     assert (status["mode"], status["goal_stamp"], status["goal_count"]) == ("no goal", "", "0")
+    assert (status["goal_orientation"], status["active_goal_stamp"]) == ("", "")
     assert status["at_rest"] == "true"
     answer = robot.graph.call(Trigger, "controller/cancel", Trigger.Request())
     assert answer.success and answer.message == "no goal was in force"
@@ -317,6 +342,10 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert status["mode"] == "at the goal", "whatever its orientation"
     robot.graph.until(lambda: eta and eta[-1].data == 0.0)
     assert robot.node.controller.itinerary.goal.orientation is Orientation.ANY
+    assert status["goal_orientation"] == "any" and float(status["angle_error_rad"]) == 0.0
+    assert status["active_goal_stamp"] == stamp_of_message(robot.goals[-1])
+    told = f"goal: {[round(float(v), 4) for v in CASE.start[:2]]}, position only\n"
+    assert told in capfd.readouterr().err
 
     several = Goals(goals=[pose_to_ros(pose, 0, 0.3) for pose in (CASE.start, CASE.goal)])
     sender = robot.graph.publisher(Goals, "goals")
@@ -328,6 +357,8 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert (status["goal_index"], status["goal_count"]) == ("1", "2"), "the first was reached"
     robot.graph.until(lambda: len(robot.goals) == 3)
     np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12)
+    assert status["goal_orientation"] == "full"
+    assert status["active_goal_stamp"] == stamp_of_message(robot.goals[-1])
 
     several.goals[1].pose.position.x = math.nan
     sender.publish(several)
@@ -337,6 +368,10 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
         robot.pass_time(0.1)
         printed += capfd.readouterr().err
     assert robot.status()["goal_count"] == "2", "the goals in force stay"
+
+
+def stamp_of_message(message: PoseStamped) -> str:
+    return stamp_text(stamp_from_ros(message.header.stamp))
 
 
 @pytest.mark.parametrize(

@@ -11,16 +11,18 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Goals
 
-from sphere_nmpc.control.navigation import Ending, GoalReport, Outcome
+from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
+from sphere_nmpc.control.navigation import Ending, Missed, Outcome
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_nmpc.ros.navigator.requests import (
     action_types,
     feedback_of,
-    goals_of,
-    report_of,
     result_of,
+    stages_of,
 )
+from sphere_nmpc.strategy.plan import Unreachable
 
 POSES = [[1.0, 2.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
 VALUES = {"goal_stamp": "7.000000001", "goal_index": "1", "mode": "at the goal"}
@@ -51,14 +53,14 @@ def requests(frame: str = "", common: str = "") -> list[SimpleNamespace]:
 @pytest.mark.parametrize("frame", ["", "map"])
 def test_poses_of_each_kind_of_goal_are_sent_in_the_frame_of_the_world(frame) -> None:
     for request in requests(frame):
-        goals = goals_of(request, "map")
+        (goals,) = stages_of(request, "map")
         assert [pose.header.frame_id for pose in goals.goals] == ["map"]
         assert pose_from_ros(goals.goals[0]).tolist() == POSES[0]
 
 
 def test_frame_of_a_list_is_that_of_poses_without_one() -> None:
     with pytest.raises(InvalidValueError, match=r"frame: given '?odom'?, expected 'map'"):
-        goals_of(requests(common="odom")[2], "map")
+        stages_of(requests(common="odom")[2], "map")
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
@@ -76,49 +78,80 @@ def test_goal_that_cannot_be_followed_is_refused(number, change, told) -> None:
     pose = request.pose if number == 0 else getattr(request.poses, "goals", request.poses)[0]
     change(request, pose)
     with pytest.raises(InvalidValueError, match=told):
-        goals_of(request, "world")
+        stages_of(request, "world")
 
 
 def test_empty_list_is_refused() -> None:
     for empty in ([], Goals()):
         with pytest.raises(InvalidInputError, match="poses: given \\[\\], expected one pose"):
-            goals_of(SimpleNamespace(poses=empty, behavior_tree=""), "world")
+            stages_of(SimpleNamespace(poses=empty, behavior_tree=""), "world")
 
 
-def test_status_of_a_controller_that_has_not_planned_yet_is_read() -> None:
-    report = report_of(VALUES)
-    assert (report.stamp, report.index, report.plans) == ("7.000000001", 1, 0)
-    assert math.isnan(report.time_left) and not report.at_rest
-    more = {"at_rest": "true", "plans": "3", "time_left_s": "1.5", "distance_left_m": "0.25"}
-    assert report_of(VALUES | more) == GoalReport(
-        "7.000000001", 1, "at the goal", True, 3, 1.5, 0.25
-    )
-    for wrong in ({"mode": "no goal"}, VALUES | {"plans": "many"}):
-        with pytest.raises(InvalidInputError, match="values of controller/status"):
-            report_of(wrong)
+def test_waypoints_are_sent_one_after_the_other() -> None:
+    poses = [stamped(state) for state in POSES]
+    request = SimpleNamespace(poses=poses, number_of_loops=0, goal_index=1)
+    stages = stages_of(request, "world")
+    assert [pose_from_ros(stage.goals[0]).tolist() for stage in stages] == POSES
+    request.goal_index = 2
+    with pytest.raises(InvalidInputError, match="goal_index: given 2, expected 0 to 1"):
+        stages_of(request, "world")
 
 
-def test_feedback_has_what_is_known(kinds) -> None:
+def test_feedback_has_what_is_left_of_all(kinds) -> None:
+    report = GoalReport("", 2, "", time_left=1.25, distance_left=2.5)
     kind = kinds["navigate_through_poses"]
-    feedback = feedback_of(kind, None, -1.0, 0, 3, None)
-    assert feedback.number_of_poses_remaining == 3
-    assert feedback.navigation_time.sec == feedback.estimated_time_remaining.sec == 0
-    report = GoalReport("", 2, "", False, 0, 1.25, math.nan)
-    feedback = feedback_of(kind, report, 3.5, 10**6, 3, stamped(POSES[1]))
+    feedback = feedback_of(kind, report, 3.5, 3, 0, stamped(POSES[1]))
     assert feedback.number_of_poses_remaining == 1
-    assert feedback.number_of_recoveries == 2**15 - 1
-    assert feedback.distance_remaining == 0.0
+    assert feedback.number_of_recoveries == 0
+    assert feedback.distance_remaining == 2.5
     assert (feedback.navigation_time.sec, feedback.navigation_time.nanosec) == (3, 500_000_000)
-    assert feedback.estimated_time_remaining.nanosec == 250_000_000
+    left = feedback.estimated_time_remaining
+    assert (left.sec, left.nanosec) == (1, 250_000_000)
     assert pose_from_ros(feedback.current_pose).tolist() == POSES[1]
+    assert feedback_of(kinds["follow_waypoints"], report, 0.0, 1, 4, None).current_waypoint == 4
+
+
+def test_what_is_not_known_is_not_told_to_be_nothing(kinds) -> None:
+    kind = kinds["navigate_to_pose"]
+    feedback = feedback_of(kind, GoalReport("", 0, ""), -1.0, 1, 0, stamped(POSES[1]))
+    assert math.isnan(feedback.distance_remaining)
+    assert feedback.estimated_time_remaining.sec == 2**31 - 1
+    assert feedback.navigation_time.sec == 0
 
 
 @pytest.mark.parametrize("outcome", Outcome)
 def test_result_has_code_and_reason_where_the_message_has_them(kinds, outcome) -> None:
     for kind in kinds.values():
-        result = result_of(kind, Ending(b"a", outcome, "the reason"))
+        result = result_of(kind, Ending(b"a", outcome, "the reason"), [])
         is_fault = outcome is Outcome.ABORTED
         assert bool(result.error_code) is is_fault
         assert result.error_msg == ("the reason" if is_fault else "")
     older = SimpleNamespace(Result=SimpleNamespace)
-    assert result_of(older, Ending(b"a", outcome, "the reason")) == SimpleNamespace()
+    assert result_of(older, Ending(b"a", outcome, "the reason"), []) == SimpleNamespace()
+
+
+@pytest.mark.parametrize(("cause", "code"), [
+    ("start outside", 203), ("goal outside", 204), ("start occupied", 205),
+    ("goal occupied", 206), ("no way", 208), (Mode.NO_PROGRESS.value, 105),
+    (Mode.NO_FRESH_POSE.value, 102), (Mode.DISABLED.value, 0),
+])
+def test_what_is_not_pursued_has_the_code_of_nav2_for_its_cause(kinds, cause, code) -> None:
+    missed = (Missed(1, cause, "why"), Missed(3, cause, "why"))
+    ending = Ending(b"a", Outcome.ABORTED, "why", missed)
+    waypoints = [Goals(goals=[stamped(state)]) for state in POSES]
+    for name, kind in kinds.items():
+        result = result_of(kind, ending, waypoints, 1)
+        beyond = 100 if name == "navigate_through_poses" and code > 200 else 0
+        unknown = getattr(kind.Result, "UNKNOWN", 1)
+        if name == "follow_waypoints":
+            assert result.error_code == unknown
+            assert [one.index for one in result.missed_waypoints] == [0, 0]
+            assert {one.error_code for one in result.missed_waypoints} == {code or 1}
+            assert pose_from_ros(result.missed_waypoints[0].goal).tolist() == POSES[0]
+        else:
+            assert result.error_code == (code + beyond or unknown)
+
+
+def test_table_of_codes_knows_all_that_makes_a_goal_unreachable() -> None:
+    assert {kind.value for kind in Unreachable} <= ERROR_CODES.keys()
+    assert ERROR_CODES.keys() <= {one.value for kind in (Unreachable, Mode) for one in kind}

@@ -1,0 +1,118 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a status of the controller says about its goals, and when one of them is given up."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.strategy.plan import Unreachable
+
+_PURSUED = {mode.value for mode in (Mode.TRACKING, Mode.AT_GOAL, Mode.NO_GOAL)}
+"""Modes in which nothing keeps the controller from its goal."""
+ERROR_CODES = {
+    Unreachable.START_OUTSIDE.value: 203,
+    Unreachable.GOAL_OUTSIDE.value: 204,
+    Unreachable.START_OCCUPIED.value: 205,
+    Unreachable.GOAL_OCCUPIED.value: 206,
+    Unreachable.NO_WAY.value: 208,
+    Mode.NO_PROGRESS.value: 105,
+    Mode.NO_POSE.value: 102,
+    Mode.NO_FRESH_POSE.value: 102,
+}
+"""Codes of Nav2 for causes: those of the results of ComputePathToPose and FollowPath in nav2_msgs,
+which its own navigator passes on."""
+OF_THE_WAY = {Mode.NO_PROGRESS.value, *(kind.value for kind in Unreachable)}
+"""Causes that concern the way to a goal, so that another one may be reached."""
+_KEYS = "goal_stamp", "goal_index", "mode", "plans", "total_time_left_s", "total_distance_left_m"
+
+
+@dataclass(frozen=True)
+class GoalReport:
+    """What a status of the controller says about its goals.
+
+    Attributes
+    ----------
+    stamp : str
+        Stamp of the message that brought the goals in force; empty without any.
+    index : int
+        Which of them is aimed at, from 0 on.
+    mode : str
+        Value of the controller's `Mode`.
+    at_rest : bool
+        Whether no rotor moves any more.
+    plans : int
+        Number of new plans since the controller was started.
+    time_left, distance_left : float
+        Time [s] and path [m] to the last of the goals; nan where they are not known.
+    unreachable : str
+        Value of `Unreachable`, empty where the goal may be reached.
+    obstacle : str
+        What keeps the sphere from its goal; empty where that is said by the mode.
+    """
+
+    stamp: str
+    index: int
+    mode: str
+    at_rest: bool = False
+    plans: int = 0
+    time_left: float = math.nan
+    distance_left: float = math.nan
+    unreachable: str = ""
+    obstacle: str = ""
+
+    @classmethod
+    def of(cls, values: Mapping[str, str]) -> "GoalReport":
+        """Return the report of a status with these values.
+
+        Before its first sampling instant a controller tells nothing of plans and commands.
+        """
+        try:
+            return cls(
+                values["goal_stamp"], int(values["goal_index"]), values["mode"],
+                values.get("at_rest") == "true", int(values.get("plans", 0)),
+                float(values.get("total_time_left_s", math.nan)),
+                float(values.get("total_distance_left_m", math.nan)),
+                values.get("unreachable", ""),
+                values.get("no_progress") or values.get("giving_up", ""),
+            )
+        except (KeyError, ValueError) as error:
+            raise InvalidInputError(
+                "values of controller/status", str(error), ", ".join(_KEYS)
+            ) from None
+
+    @property
+    def cause(self) -> str:
+        """What keeps the sphere from its goal, in words that do not change."""
+        return self.unreachable or self.mode
+
+
+class Patience:
+    """Decides when a goal is given up that the controller does not pursue.
+
+    At once where it is disabled, and where the sphere stands as the goal is unreachable whatever
+    moves on the floor; otherwise after the time `longest` [s], in which poses may return, an area
+    may move on, a blocked sphere may be freed, or a search may find a plan.
+    """
+
+    def __init__(self, longest: float) -> None:
+        self._longest = longest
+        self._since: float | None = None
+
+    def exhausted(self, report: GoalReport, now: float) -> str:
+        """Return why the goals of a report are given up at `now` [s]; empty while they are not."""
+        mode = report.mode
+        if mode in _PURSUED:
+            self._since = None
+            return ""
+        if self._since is None:
+            self._since = now
+        is_final = mode == Mode.DISABLED.value or (
+            mode == Mode.NO_PROGRESS.value and report.unreachable
+        )
+        reason = f"{mode}: {report.obstacle}" if report.obstacle else mode
+        if report.stamp and is_final:
+            return reason
+        return f"{reason}, for {self._longest:g} s" if now - self._since > self._longest else ""

@@ -83,6 +83,12 @@ _WEIGHTS = {
     Orientation.ANY_HEADING: np.array((1.0, 1.0, 0.0)),
     Orientation.ANY: np.zeros(3),
 }
+_FREE = {
+    Orientation.FULL: "",
+    Orientation.ANY_HEADING: ", any heading",
+    Orientation.ANY: ", position only",
+}
+"""What is said of a goal beside its numbers."""
 _OPPOSITE = 1e-9
 """Cosine of half the tilt [-] below which the body is upside down, and all headings as near."""
 
@@ -115,6 +121,10 @@ class Goal:
     def nearest(self, state: Vector, time: float) -> Vector:
         """Return the member at a time [s] that is nearest to a state, (6,) or (9,); shape (6,)."""
         return self.orientation.nearest(self.at(time), state)
+
+    def __str__(self) -> str:
+        shown = self.pose[POSITION if self.orientation is Orientation.ANY else POSE]
+        return f"{[round(float(v), 4) for v in shown]}{_FREE[self.orientation]}"
 
     def equals(self, other: "Goal") -> bool:
         """Return whether it is the same set of poses, given in the same way."""

@@ -307,9 +307,9 @@ class ControllerNode(RunnableNode):
         if not is_new:
             return
         self._save_goal()
-        pose, number = goals.goal.pose, len(goals.goals)
+        number = len(goals.goals)
         several = f"first of {number}: " if number > 1 else ""
-        self._event_log.report("goal", f"{several}{[round(float(v), 4) for v in pose]}")
+        self._event_log.report("goal", f"{several}{goals.goal}")
         self._schedule.goal_changed()
         self._start()
 

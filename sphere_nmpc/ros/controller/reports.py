@@ -96,7 +96,7 @@ class ControllerReports:
         self._goal = node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
         self._at_goal = node.create_publisher(Bool, "~/at_goal", LATCHED)
         self._at_goal_published: bool | None = None
-        self._published_index = 0
+        self._published_index = self._active_goal = 0
         self._eta = node.create_publisher(Float64, "~/eta", 10)
         self._path = node.create_publisher(Path, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
@@ -115,7 +115,7 @@ class ControllerReports:
         """
         goals = self._controller.itinerary
         if goals is not None:
-            self._published_index = goals.index
+            self._published_index, self._active_goal = goals.index, stamp
             self._goal.publish(
                 pose_to_ros(goals.goal.pose, stamp, self._robot.shell_radius, self._frame)
             )
@@ -162,7 +162,6 @@ class ControllerReports:
         # Nothing was solved since: the last solve time must not be counted again.
         values: dict[str, Any] = {"time_s": f"{time:.9g}", "strategy": self._strategy}
         values |= self._values | {"mode": mode.value, "solve_time_s": 0.0}
-        values |= goals_in_force(self._controller.itinerary)
         if self._decision is not None and mode is not self._decision.mode:
             values |= {"time_left_s": math.nan, "distance_left_m": math.nan}
         values["at_rest"] = not math.isnan(time) and self._controller.is_at_rest(time)
@@ -176,7 +175,10 @@ class ControllerReports:
             message = f"{found[0].kind}: {found[0].message}"
             level = ERROR if found[0].severe else max(level, WARN)
         self._status_at = perf_counter()
-        values = {**values, "floor_pending_s": self._floor_pending()}
+        values = {
+            **values, **goals_in_force(self._controller.itinerary, self._active_goal),
+            "floor_pending_s": self._floor_pending(),
+        }
         self._status.publish(status(self._name, level, message, values))
 
     def _publish_arrival(self) -> None:

@@ -122,7 +122,6 @@ class ControllerStatus:
         elif decision.mode is Mode.TRACKING:
             left = float(np.maximum(0.0, plan.arrival - time))  # nan where it is not known
         return {
-            **goals_in_force(controller.itinerary),
             "goal_speed": 0.0 if decision.goal is None else controller.goal_speed(time),
             "time_left_s": left,
             "distance_left_m": plan.distance_left(time) if decision.solved else math.nan,
@@ -164,13 +163,20 @@ class ControllerStatus:
         )
 
 
-def goals_in_force(goals: Itinerary | None) -> dict[str, Any]:
-    """Return the status values that name the goals."""
+def goals_in_force(goals: Itinerary | None, active_goal: int) -> dict[str, Any]:
+    """Return the status values that name the goals, and what the one aimed at demands.
+
+    `active_goal` is the stamp [ns] of the message that was published for that one.
+    """
     if goals is None:
-        return {"goal_stamp": "", "goal_index": 0, "goal_count": 0}
+        return {
+            "goal_stamp": "", "goal_index": 0, "goal_count": 0, "goal_orientation": "",
+            "active_goal_stamp": "",
+        }
     return {
         "goal_stamp": stamp_text(goals.stamp), "goal_index": goals.index,
-        "goal_count": len(goals.goals),
+        "goal_count": len(goals.goals), "goal_orientation": goals.goal.orientation.value,
+        "active_goal_stamp": stamp_text(active_goal),
     }
 
 

@@ -33,6 +33,7 @@ from sphere_nmpc.ros.messages import (
     pose_from_ros,
     pose_to_ros,
     stamp_from_ros,
+    stamp_text,
     stamp_to_ros,
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -293,6 +294,7 @@ def test_cancel_stops_and_leaves_no_goal(robot) -> None:
     robot.pass_time(1.0)
     status = robot.status()
     assert (status["mode"], status["goal_stamp"], status["goal_count"]) == ("no goal", "", "0")
+    assert (status["goal_orientation"], status["active_goal_stamp"]) == ("", "")
     assert status["at_rest"] == "true"
     answer = robot.graph.call(Trigger, "controller/cancel", Trigger.Request())
     assert answer.success and answer.message == "no goal was in force"
@@ -317,6 +319,10 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert status["mode"] == "at the goal", "whatever its orientation"
     robot.graph.until(lambda: eta and eta[-1].data == 0.0)
     assert robot.node.controller.itinerary.goal.orientation is Orientation.ANY
+    assert status["goal_orientation"] == "any" and float(status["angle_error_rad"]) == 0.0
+    assert status["active_goal_stamp"] == stamp_of_message(robot.goals[-1])
+    told = f"goal: {[round(float(v), 4) for v in CASE.start[:2]]}, position only\n"
+    assert told in capfd.readouterr().err
 
     several = Goals(goals=[pose_to_ros(pose, 0, 0.3) for pose in (CASE.start, CASE.goal)])
     sender = robot.graph.publisher(Goals, "goals")
@@ -328,6 +334,8 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert (status["goal_index"], status["goal_count"]) == ("1", "2"), "the first was reached"
     robot.graph.until(lambda: len(robot.goals) == 3)
     np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12)
+    assert status["goal_orientation"] == "full"
+    assert status["active_goal_stamp"] == stamp_of_message(robot.goals[-1])
 
     several.goals[1].pose.position.x = math.nan
     sender.publish(several)
@@ -337,6 +345,10 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
         robot.pass_time(0.1)
         printed += capfd.readouterr().err
     assert robot.status()["goal_count"] == "2", "the goals in force stay"
+
+
+def stamp_of_message(message: PoseStamped) -> str:
+    return stamp_text(stamp_from_ros(message.header.stamp))
 
 
 @pytest.mark.parametrize(

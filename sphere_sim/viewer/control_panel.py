@@ -16,7 +16,6 @@ from typing import Any
 
 import viser
 
-from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.output.round_numbers import round_down
 from sphere_sim.viewer import colours, source
 from sphere_sim.viewer.goal import GOAL_PRESETS
@@ -285,11 +284,11 @@ def _number_lines(frame: Frame) -> str:
     below must not move under the mouse pointer.
     """
     distance = left = "–"
-    if frame.state is not None and frame.goal is not None:
-        distance = (
-            f"to the goal: <b>{position_error(frame.state, frame.goal):.3f} m</b>, "
-            f"<b>{angle_error(frame.state, frame.goal):.3f} rad</b>"
-        )
+    away, angle = source.errors_of(frame)
+    if frame.goal is not None and math.isfinite(away):
+        turn = f"<b>{angle:.3f} rad</b>" if math.isfinite(angle) else ""
+        parts = f"<b>{away:.3f} m</b>", turn, frame.goal.orientation.remark
+        distance = f"to the goal: {', '.join(filter(None, parts))}"
     progress = frame.progress
     if math.isfinite(progress.time_left):
         left = f"left: <b>{progress.time_left:.1f} s</b>"

@@ -94,7 +94,7 @@ class Viewer:
         """Let the page that is opened next show sphere and goal of a live robot."""
         state = self._frame.state
         if self._live and state is not None:
-            goal = state if self._frame.goal is None else self._frame.goal
+            goal = state if self._frame.goal is None else self._frame.goal.pose
             places = np.array([state[POSITION], goal[POSITION]])
             if not all(map(self._scene.shows, places)):
                 self._scene.look_at(places)
@@ -107,7 +107,7 @@ class Viewer:
                 return
             on_drag = self._panel.put if self._live else None
             self._goal = GoalGizmo(self._server.scene, self._scene.radius, on_drag)
-        self._goal.show(frame.goal)
+        self._goal.show(frame.goal, frame.state)
 
     def _carry_out(self, request: PageRequest) -> None:
         """Carry out a request of the page, or pass it on to the source."""

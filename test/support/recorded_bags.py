@@ -199,6 +199,14 @@ def goal_at(x: float, time: float) -> Entry:
     return "/controller/active_goal", POSE, stamp, pose(stamp, (x, 0, 1, 0, 0, 0))
 
 
+def demand(goal: Entry, orientation: str) -> Entry:
+    """Return the status that says what a goal of `goal_at` demands of the orientation."""
+    stamp = goal[3].header.stamp
+    named = f"{stamp.sec}.{stamp.nanosec:09d}"
+    values = {"active_goal_stamp": named, "goal_orientation": orientation}
+    return "/controller/status", STATUS, goal[2], status(**values)
+
+
 def in_order(*entries: Entry) -> list[Entry]:
     return sorted(entries, key=lambda entry: entry[2])
 

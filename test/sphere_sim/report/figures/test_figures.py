@@ -11,6 +11,7 @@ from PIL import Image
 
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED
+from sphere_nmpc.model.goal import Goal
 from sphere_sim.recording.run import Floors, Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
@@ -43,7 +44,7 @@ def make_run(full: bool = True) -> Run:
         name="run", path=Path("bag"), times=times, states=states,
         joint_times=times[:n], rotor_speeds=90.0 * np.sin(np.outer(times[:n], (1, 2))),
         rotor_torques=np.cos(np.outer(times[:n], (1, 2))), goal_times=np.zeros(g),
-        goals=np.tile([0.0, 0, 1, 0, 0, 0], (g, 1)), plans=(),
+        goals=g * (Goal(np.array([0.0, 0, 1, 0, 0, 0])),), plans=(),
         solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
                       ("solved",) * k, np.full(k, np.nan)),
         momentum=Momentum(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0)),

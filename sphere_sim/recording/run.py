@@ -17,7 +17,7 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign
 from sphere_sim.evaluation.metrics import ERRORS, Metrics, errors_to, measure
-from sphere_sim.output.round_numbers import length, three_digits
+from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.world.walls import Walls
 
 _SAME_INSTANT = 1e-9
@@ -265,7 +265,7 @@ def setup_text(strategy: str, radius: float, max_speed: float, plant: str) -> st
 
     Those that are empty or nan are unknown.
     """
-    size = f"radius {length(radius)}" if math.isfinite(radius) else "of unknown size"
+    size = f"radius {three_digits(radius)} m" if math.isfinite(radius) else "of unknown size"
     limit = f", rotors up to {three_digits(max_speed)} rad/s" if math.isfinite(max_speed) else ""
     return f"strategy {strategy or 'unknown'}; robot {size}{limit}; plant {plant or 'unknown'}"
 

@@ -39,6 +39,7 @@ _LEGEND = """
 - **floor**: a line every {cell:g} m{walls}
 """
 _NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
+_SETUP = "padding-top:6px;font-size:12px;line-height:1.4;color:#666"
 _STATUS = "padding:6px 10px;margin:6px 0;border-radius:4px;color:white;font-weight:600"
 
 
@@ -278,7 +279,7 @@ def _status_bar(frame: Frame, live: bool) -> str:
 
 
 def _number_lines(frame: Frame) -> str:
-    """Return time, mode, distance to the goal and what is left of the way as HTML.
+    """Return time, mode, errors, what is left of the way, and who drives what as HTML.
 
     There are always four lines, and one more on a floor that is not free everywhere: the widgets
     below must not move under the mouse pointer.
@@ -300,4 +301,5 @@ def _number_lines(frame: Frame) -> str:
     if frame.floor is not None:
         clear = f"<b>{frame.clearance:.3f} m</b>" if math.isfinite(frame.clearance) else "–"
         lines.append(f"clearance of the plan {clear}")
-    return f'<div style="{_NUMBERS}">{"<br>".join(lines)}</div>'
+    setup = f'<div style="{_SETUP}">{html.escape(frame.setup)}</div>'
+    return f'<div style="{_NUMBERS}">{"<br>".join(lines)}{setup}</div>'

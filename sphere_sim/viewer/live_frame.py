@@ -113,6 +113,8 @@ class LiveFrame:
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""
         given_up, missing = values.get("giving_up", ""), values.get("no_progress", "")
+        # The reason for which there is no progress may be what is given up.
+        given_up = "" if given_up in missing else f"the strategy gives up {given_up}"
         missing = f"no progress: {missing}" if missing else ""
         self._reported = tuple(filter(None, (given_up, missing)))
         self._has_goal = values.get("goal_stamp") != ""

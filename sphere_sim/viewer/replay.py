@@ -102,6 +102,7 @@ class Replay:
             to_go=to_go,
             momentum=run.momentum.at(moment),
             mode=run.solves.statuses[solve] if solve >= 0 else "",
+            setup=run.setup,
             restarted=restarted,
             capabilities=Capabilities(
                 pause=True, reset=True, paused=self._paused, speed=self._speed,

@@ -77,8 +77,8 @@ class Frame:
         Progress through the goals.
     momentum : ndarray, shape (3,)
         Momentum about the contact point that the controller estimates [N m s; world frame].
-    strategy, mode : str
-        Strategy and mode of the controller.
+    strategy, mode, setup : str
+        Strategy and mode of the controller; strategy, robot and plant in words.
     alerts, notices : tuple of str
         Present faults; messages to show once, such as the reason of a refused request.
     restarted : bool
@@ -102,13 +102,14 @@ class Frame:
     momentum: Vector = field(default_factory=lambda: _unknown(3))
     strategy: str = ""
     mode: str = ""
+    setup: str = ""
     alerts: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     restarted: bool = False
     capabilities: Capabilities = Capabilities()
 
     def __post_init__(self) -> None:
-        for name in ("strategy", "mode"):
+        for name in ("strategy", "mode", "setup"):
             object.__setattr__(self, name, cut(getattr(self, name), LONGEST_TEXT))
         for name in ("alerts", "notices"):
             texts = tuple(cut(text, LONGEST_TEXT) for text in getattr(self, name))

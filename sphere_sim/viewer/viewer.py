@@ -56,6 +56,11 @@ class Viewer:
         """Address of the page, with its access token."""
         return self._server.url
 
+    @property
+    def has_pages(self) -> bool:
+        """Whether the page is open anywhere."""
+        return bool(self._server.get_clients())
+
     def tick(self) -> None:
         """Handle requests and show new frames; to be called once a `FRAME_PERIOD`."""
         for request in self._panel.take():
@@ -77,7 +82,7 @@ class Viewer:
         if now > self._panel_updated + _PANEL_PERIOD:
             self._panel_updated = now
             self._panel.show(self._frame, self._scene.cell)
-            if not self._server.get_clients():
+            if not self.has_pages:
                 self._choose_view()
             else:
                 self._plots.show(self._history, self._frame.robot)

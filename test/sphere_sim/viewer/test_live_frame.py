@@ -48,7 +48,8 @@ def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:
     live.add_status({"mode": long, "giving_up": long, "solve_time_s": "?"})
     frame = replace(live.take(0.1, 1), notices=(long, "short"))
     cut = 297 * "x" + "..."
-    assert cut == frame.mode == frame.notices[0] and cut in frame.alerts
+    assert cut == frame.mode == frame.notices[0]
+    assert f"the strategy gives up {long}"[:297] + "..." in frame.alerts
 
 
 def test_cancelled_goal_is_not_shown_until_there_is_another() -> None:
@@ -111,8 +112,11 @@ def test_missing_messages_and_what_the_status_gives_up_are_alerts() -> None:
     assert live.take(10.7, 0).alerts == ("no pose for 0.7 s", "controller gone")
     live.add_status({"giving_up": "2 degrees of the goal", "no_progress": "given a still sphere"})
     assert live.take(10.1, 1).alerts == (
-        "2 degrees of the goal", "no progress: given a still sphere"
+        "the strategy gives up 2 degrees of the goal", "no progress: given a still sphere"
     )
+    reason = "given a still sphere; the strategy gives up the goal: it is occupied"
+    live.add_status({"giving_up": "the goal: it is occupied", "no_progress": reason})
+    assert live.take(10.1, 1).alerts == (f"no progress: {reason}",), "one reason once"
     live.add_status({"giving_up": "", "no_progress": ""})
     assert live.take(10.1, 1).alerts == ()
 

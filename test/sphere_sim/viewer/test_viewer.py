@@ -234,6 +234,24 @@ def test_page_that_is_opened_shows_sphere_and_goal(viewer, script) -> None:
     assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 10.0 * near
 
 
+@pytest.mark.parametrize("radius", [DEFAULT_RADIUS, PALM.shell_radius])
+def test_page_of_1400_pixels_shows_spheres_beside_no_panel(viewer, script, radius) -> None:
+    places = radius * np.random.default_rng(2).uniform(-20.0, 20.0, (30, 2))
+    script.next = [at(0.0, 0.0, radius=radius)]
+    viewer.tick()
+    viewer._scene.look_at(places)
+    camera = viewer._server.initial_camera
+    ahead = np.subtract(camera.look_at, camera.position) / np.linalg.norm(
+        np.subtract(camera.look_at, camera.position))
+    right = np.cross(ahead, (0.0, 0.0, 1.0)) / np.linalg.norm(np.cross(ahead, (0.0, 0.0, 1.0)))
+    rays = np.column_stack((places, np.full(len(places), radius))) - camera.position
+    # Pixels from the centre of the scene, which is 712 wide between the panels.
+    aside = 450.0 / np.tan(0.5 * camera.fov) * (np.abs(rays @ right) + radius) / (rays @ ahead)
+    assert 300.0 < aside.max() < 356.0
+    assert all(map(viewer._scene.shows, places))
+    assert not viewer._scene.shows(places.mean(axis=0) + 40.0 * radius * right[:2])
+
+
 def test_history_is_limited_in_length_and_density() -> None:
     history = History()
     for time in np.arange(0.0, 60.0, 0.02):

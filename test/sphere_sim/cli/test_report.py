@@ -16,6 +16,7 @@ import pytest
 from patience import PATIENCE
 from recorded_bags import (
     POSE,
+    STATUS,
     Entry,
     changed,
     demand,
@@ -25,6 +26,7 @@ from recorded_bags import (
     make,
     momentum_messages,
     pose,
+    status,
     walled_messages,
     without,
     write_own,
@@ -32,6 +34,7 @@ from recorded_bags import (
 
 from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import main
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report import report_files
 from sphere_sim.ros.session.child_process import verb_command
 
@@ -226,6 +229,22 @@ def test_report_says_what_was_asked_for_and_judges_that(tmp_path, capsys, one_fi
     page = (out / "report.html").read_text()
     targets = "0, 0\nposition only", "1, 0\n1, 0, 0, 0\nany heading"
     assert all(f"<td>{target}</td>" in page for target in targets)
+
+
+def test_page_has_the_animation_and_says_what_moved_the_sphere(tmp_path, one_figure) -> None:
+    parameters = {"controller": {"robot.shell_radius": 0.3, "robot.max_rotor_speed": 80.0},
+                  "simulator": {"plant": "rigid_body"}}
+    out = tmp_path / "out"
+    data = {f"parameters:/{node}": json.dumps(values) for node, values in parameters.items()}
+    told = "/controller/status", STATUS, 6 * 10**9, status(strategy="paper", time_s=5.0)
+    bag = write_own(tmp_path / "told", [*approach(1), told], data)
+    unknown = "strategy unknown; robot of unknown size; plant unknown"
+    told = "strategy paper; robot radius 0.3 m, rotors up to 80 rad/s; plant rigid_body"
+    assert read_run(make_bag(tmp_path / "run")).setup == unknown
+    assert main([str(bag), "--out", str(out), "--animation"]) == 0
+    page = (out / "report.html").read_text()
+    assert f"<p>{told}</p>" in page
+    assert page.index("data:image/gif;base64,") < page.index("data:image/svg+xml;base64,")
 
 
 def test_figures_of_each_goal_that_is_asked_for_of_bags_with_unique_names(

@@ -58,6 +58,16 @@ def test_figure_of_a_run_with_poses_only_is_drawn(name, tmp_path) -> None:
     assert png.read_bytes().startswith(b"\x89PNG") and "<svg" in svg.read_text()
 
 
+@pytest.mark.parametrize("name", ["panels", "error", "momentum", "solve"])
+def test_legends_cover_no_curve(name) -> None:
+    figure = FIGURES[name](make_run())
+    figure.draw_without_rendering()
+    legends = [(axes, axes.get_legend()) for axes in figure.axes if axes.get_legend()]
+    assert legends
+    for axes, legend in legends:
+        assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1.0
+
+
 def test_momentum_is_drawn_with_the_pushes_and_what_a_rotor_can_hold() -> None:
     (axes,) = analysis.momentum_over_time(make_run()).axes
     lines = {line.get_label(): line for line in axes.lines}

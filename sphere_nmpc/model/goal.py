@@ -43,9 +43,28 @@ class Orientation(Enum):
         """Weights of a small turn from a member about the world's axes [-], shape (3,)."""
         return _WEIGHTS[self]
 
+    @property
+    def remark(self) -> str:
+        """What is said of a goal beside its numbers; empty for a whole pose."""
+        return _REMARKS[self]
+
     def nearest_of(self, pose: Vector, states: Vector) -> Vector:
-        """Return the member nearest to each of the rows of `states`, shape (K, 6)."""
-        return np.array([self.nearest(pose, state) for state in states])
+        """Return the member nearest to each of the rows of `states`, shape (K, 6); see `nearest`.
+
+        It takes the same time for a recording as `nearest` for a few states.
+        """
+        members = np.tile(pose, (len(states), 1))
+        if self is Orientation.FULL:
+            return members
+        turns = states[:, QUATERNION].T
+        if self is Orientation.ANY_HEADING:
+            turns = rotation.products(turns, rotation.conjugate(pose[QUATERNION]))
+            turns[1:3] = 0.0
+            lengths = np.linalg.norm(turns, axis=0)
+            turns[:, lengths < _OPPOSITE] = [[1.0], [0.0], [0.0], [0.0]]
+            turns = rotation.products(turns / np.linalg.norm(turns, axis=0), pose[QUATERNION])
+        members[:, QUATERNION] = turns.T
+        return members
 
     def draw(self, rng: np.random.Generator, pose: Vector, count: int) -> Vector:
         """Draw members of the set with `pose`, shape (6,); the one for all if it is the only one.
@@ -83,12 +102,11 @@ _WEIGHTS = {
     Orientation.ANY_HEADING: np.array((1.0, 1.0, 0.0)),
     Orientation.ANY: np.zeros(3),
 }
-_FREE = {
+_REMARKS = {
     Orientation.FULL: "",
-    Orientation.ANY_HEADING: ", any heading",
-    Orientation.ANY: ", position only",
+    Orientation.ANY_HEADING: "any heading",
+    Orientation.ANY: "position only",
 }
-"""What is said of a goal beside its numbers."""
 _OPPOSITE = 1e-9
 """Cosine of half the tilt [-] below which the body is upside down, and all headings as near."""
 
@@ -124,7 +142,8 @@ class Goal:
 
     def __str__(self) -> str:
         shown = self.pose[POSITION if self.orientation is Orientation.ANY else POSE]
-        return f"{[round(float(v), 4) for v in shown]}{_FREE[self.orientation]}"
+        numbers = str([round(float(v), 4) for v in shown])
+        return ", ".join(filter(None, (numbers, self.orientation.remark)))
 
     def equals(self, other: "Goal") -> bool:
         """Return whether it is the same set of poses, given in the same way."""

@@ -50,18 +50,24 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 def _replay(bag: Path, namespace: str | None, pose_topic: str | None, port: int) -> int:
     from sphere_sim.recording.run_reader import read_run
     from sphere_sim.viewer.replay import Replay
+    from sphere_sim.viewer.source import Pause
     from sphere_sim.viewer.viewer import FRAME_PERIOD, Viewer
 
     run = read_run(bag, namespace, pose_topic=pose_topic)
     for note in run.notes:
         print(printable_line(f"viewer: {note}"), file=sys.stderr, flush=True)
-    viewer = Viewer(Replay(run), port, live=False)
+    replay, started = Replay(run), False
+    replay.handle(Pause(True))
+    viewer = Viewer(replay, port, live=False)
     viewer.tick()  # the view depends on the size of the sphere
     viewer.look_at(run.states[:, POSITION])
     announce(viewer.url)
     try:
         while True:
             viewer.tick()
+            if viewer.has_pages and not started:
+                started = True
+                replay.handle(Pause(False))
             time.sleep(FRAME_PERIOD)
     except KeyboardInterrupt:
         return 0

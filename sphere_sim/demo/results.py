@@ -7,6 +7,7 @@ import json
 import math
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from rich.table import Table
 
 from sphere_nmpc import __version__
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.demo.plan import DemoPlan
@@ -23,6 +25,7 @@ from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import write_atomically
+from sphere_sim.output.round_numbers import length
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run import Run, Solves, without_sign_jumps
 from sphere_sim.recording.run_reader import read_run
@@ -36,16 +39,16 @@ _AT_LEAST = 20.0
 """Shortest duration of the other run [s]: the paper's cases need up to 13."""
 _MANY_MISSED = 0.01
 """Share of missed sampling instants from which on it is told."""
-_ROWS = (
-    ("final error", "final_error", ".2e", 1.0, ""),
-    ("final distance", "final_position_error_m", ".2f", 1e3, " mm"),
-    ("final angle", "final_orientation_error_rad", ".3f", math.degrees(1.0), " deg"),
-    ("largest rotor speed", "max_rotor_speed", ".1f", 1.0, " rad/s"),
-    ("largest rotor torque", "max_rotor_torque_nm", ".2f", 1.0, " N m"),
-    ("solve time, median", "solve_ms_p50", ".2f", 1.0, " ms"),
-    ("solve time, p99", "solve_ms_p99", ".2f", 1.0, " ms"),
+_ROWS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+    ("final error", "final_error", "{:.2e}".format),
+    ("final distance", "final_position_error_m", length),
+    ("final angle", "final_orientation_error_rad", lambda angle: f"{math.degrees(angle):.3f} deg"),
+    ("largest rotor speed", "max_rotor_speed", "{:.1f} rad/s".format),
+    ("largest rotor torque", "max_rotor_torque_nm", "{:.2f} N m".format),
+    ("solve time, median", "solve_ms_p50", "{:.2f} ms".format),
+    ("solve time, p99", "solve_ms_p99", "{:.2f} ms".format),
 )
-"""Title, figure, format, factor and unit of the rows of the table."""
+"""Title and figure of the rows of the table, and the text of a value."""
 
 
 def hints_of(plan: DemoPlan, missed: float, reported: str, duration: float) -> str:
@@ -138,19 +141,18 @@ def _table(plan: DemoPlan, figures: dict[str, dict[str, float]]) -> Table:
     how = {plan.strategy: "recorded over ROS", plan.other_strategy: "computed without ROS"}
     made = Table("result", *(f"{name}\n{how[name]}" for name in figures))
     # Under noise the error does not settle below 1e-2, but it stays in a neighbourhood.
-    settled: tuple[tuple[str, str, str, float, str], ...] = (
-        ("settling time (error < 1e-2)", "settle_time_s", ".2f", 1.0, " s"),
-    )
+    seconds, plain = "{:.2f} s".format, "{:.3f}".format
+    settled = [("settling time (error < 1e-2)", "settle_time_s", seconds)]
     if plan.disturbed:
-        settled = (
-            (f"error < {plan.tolerance:g} from", "within_s", ".2f", 1.0, " s"),
-            ("95th percentile from then on", "p95_error_after", ".3f", 1.0, ""),
-            ("largest error from then on", "max_error_after", ".3f", 1.0, ""),
-        )
-    for title, name, form, scale, unit in (*settled, *_ROWS):
+        settled = [
+            (f"error < {plan.tolerance:g} from", "within_s", seconds),
+            ("95th percentile from then on", "p95_error_after", plain),
+            ("largest error from then on", "max_error_after", plain),
+        ]
+    for title, name, text in (*settled, *_ROWS):
         none = "not settled" if name in ("within_s", "settle_time_s") else "-"
-        values = [scale * of_strategy[name] for of_strategy in figures.values()]
-        made.add_row(title, *(none if math.isnan(v) else f"{v:{form}}{unit}" for v in values))
+        values = [of_strategy[name] for of_strategy in figures.values()]
+        made.add_row(title, *(none if math.isnan(value) else text(value) for value in values))
     return made
 
 
@@ -172,7 +174,7 @@ def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
         times=trajectory.times, states=without_sign_jumps(trajectory.states),
         joint_times=trajectory.times, rotor_speeds=trajectory.speeds,
         rotor_torques=trajectory.torques, goal_times=np.zeros(1),
-        goals=plan.scenario.goal[None, :], plans=tuple(trajectory.holds),
+        goals=(Goal(plan.scenario.goal),), plans=tuple(trajectory.holds),
         solves=Solves(
             np.array(starts),
             np.array([decision.plan.solve_time for decision in tracked]),

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
 
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
 LOOSELY_SETTLED = 5e-2
 """The same for a run with noise, whose error does not stay below `SETTLED_ERROR`."""
+ERRORS = ("error", "position_error_m", "angle_error_rad")
+"""Errors to a goal: ||x - x_d|| [mixed units], distance [m] and angle [rad]."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Metrics:
         Whether the error stays below `SETTLED_ERROR` from some time on to the end, and that time
         from the moment the goal was set [s].
     final_error, final_position_error_m, final_orientation_error_rad : float
-        ||x - x_d|| [mixed units], distance [m] and angle [rad] to the goal at the end.
+        ||x - x_d|| [mixed units], distance [m] and angle [rad] to the goal at the end; see
+        `errors_to`.
     max_rotor_speed, max_rotor_torque_nm : float
         Largest magnitudes [rad/s], [N m].
     solve_ms_p50, solve_ms_p99 : float
@@ -68,6 +72,19 @@ def position_errors(states: Vector, goals: Vector) -> Vector:
 def angle_errors(states: Vector, goals: Vector) -> Vector:
     """Return the angles to the goal's orientation [rad], shape (n,)."""
     return rotation.angle_between(states[:, QUATERNION], goals[..., QUATERNION])
+
+
+def errors_to(goal: Goal, states: Vector) -> Vector:
+    """Return the `ERRORS` of states, (n, 6), to the nearest poses that a goal allows, (n, 3).
+
+    The angle is nan where the goal demands nothing of the orientation.
+    """
+    members = goal.orientation.nearest_of(goal.pose, states)
+    of = state_errors, position_errors, angle_errors
+    errors = [of_one(states, members) for of_one in of]
+    if goal.orientation is Orientation.ANY:
+        errors[2] = np.full(len(states), np.nan)
+    return np.stack(errors, axis=1)
 
 
 def settling_index(errors: Vector, tolerance: float = SETTLED_ERROR) -> int | None:
@@ -136,21 +153,21 @@ class GoalRun:
 
 
 def measure(
-    times: Vector, states: Vector, goal: Vector, rotor_speeds: Vector, rotor_torques: Vector,
+    times: Vector, states: Vector, goal: Goal, rotor_speeds: Vector, rotor_torques: Vector,
     solve_times: Vector,
 ) -> Metrics:
-    """Return the metrics of a run towards one goal, shape (6,).
+    """Return the metrics of a run towards one goal that does not move.
 
     `states`, shape (n, 6), are at `times` since the goal was set [s]. Rotor speeds [rad/s] and
     torques [N m], shape (m, 2), and the solve times [s], (k,), are of any times.
     """
-    errors = state_errors(states, goal)
-    stay = stay_below(times, errors)
+    errors = errors_to(goal, states)
+    stay = stay_below(times, errors[:, 0])
+    final_error, final_distance, final_angle = errors[-1].tolist()
     return Metrics(
         settled=stay is not None, settle_time_s=math.nan if stay is None else stay.since,
-        final_error=float(errors[-1]),
-        final_position_error_m=float(position_errors(states[-1:], goal)[0]),
-        final_orientation_error_rad=float(angle_errors(states[-1:], goal)[0]),
+        final_error=final_error, final_position_error_m=final_distance,
+        final_orientation_error_rad=final_angle,
         max_rotor_speed=_peak(rotor_speeds), max_rotor_torque_nm=_peak(rotor_torques),
         solve_ms_p50=_percentile(solve_times, 50.0), solve_ms_p99=_percentile(solve_times, 99.0),
     )

@@ -20,6 +20,12 @@ def grid_cell(radius: float) -> float:
     return 0.5 * round_down(10.0 / 3.0 * radius)
 
 
+def length(value: float) -> str:
+    """Return a length [m] as text with three significant digits, in mm below a metre."""
+    large = abs(float(f"{value:.3g}")) >= 1.0
+    return f"{three_digits(value)} m" if large else f"{three_digits(1e3 * value)} mm"
+
+
 def three_digits(value: float) -> str:
     """Return a number with three significant digits, without an exponent where it is short."""
     return f"{float(f'{value:.3g}'):g}"

@@ -11,6 +11,7 @@ import numpy as np
 
 from sphere_nmpc.floor.occupancy import Grid, grid_of_values
 from sphere_nmpc.model.disturbance import Disturbance, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
@@ -37,6 +38,11 @@ def known(number: float) -> float:
 def stamp_of(message: Any) -> int:
     """Return the stamp [ns] of a message with a header."""
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+
+
+def stamp_text(message: Any) -> str:
+    """Return the stamp of a message with a header as statuses write it, in seconds."""
+    return "{}.{:09d}".format(*divmod(stamp_of(message), NANOSECONDS))
 
 
 def state_of(message: Any) -> list[float]:
@@ -115,6 +121,14 @@ def reported_progress(values: Mapping[str, str]) -> ReportedProgress:
         int(index) if known_goal else 0, int(count) if known_goal else 0,
         number(values, "time_left_s"), number(values, "distance_left_m"),
     )
+
+
+def reported_orientation(values: Mapping[str, str]) -> Orientation:
+    """Return what a status says that its goal demands of the orientation; all if it does not."""
+    try:
+        return Orientation(values.get("goal_orientation", ""))
+    except ValueError:
+        return Orientation.FULL
 
 
 def reported_momentum(values: Mapping[str, str]) -> Vector:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded run as arrays."""
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign
-from sphere_sim.evaluation.metrics import Metrics, measure, state_errors
+from sphere_sim.evaluation.metrics import ERRORS, Metrics, errors_to, measure
+from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.world.walls import Walls
 
-ErrorMeasure = Callable[[Vector, Vector], Vector]
 _SAME_INSTANT = 1e-9
 """Rounding of the times of solves, which are reported as text [s]."""
 
@@ -155,15 +156,17 @@ class Run:
         quaternions.
     joint_times, rotor_speeds, rotor_torques : ndarray, shapes (m,), (m, 2) and (m, 2)
         Times of the joint states [s], speeds [rad/s] and torques [N m]; nan where not recorded.
-    goal_times, goals : ndarray, shapes (g,) and (g, 6)
-        Times at which the goals came into force [s], ascending, and the goals; at least one pose
-        follows each before the next.
+    goal_times, goals : ndarray, shape (g,), and tuple of Goal, length g
+        Times at which the goals came into force [s], ascending, and the goals, which do not move;
+        at least one pose follows each before the next.
     plans : tuple of FirstOrderHold
         Rotor trajectories that the controller sent, knot times in the run's time.
     solves, momentum, floors : Solves, Momentum and Floors
         Solves and momentum that it reported, and pushes; floors, clearances and contacts.
     robot : RobotParameters
         Robot parameters of the controller, or the defaults where the bag does not have them.
+    setup : str
+        Strategy, robot and plant in words, see `setup_text`.
     notes : tuple of str
         Messages for users on what is missing or invalid in the bag.
     """
@@ -176,35 +179,37 @@ class Run:
     rotor_speeds: Vector
     rotor_torques: Vector
     goal_times: Vector
-    goals: Vector
+    goals: tuple[Goal, ...]
     plans: tuple[FirstOrderHold, ...]
     solves: Solves
     momentum: Momentum = field(default_factory=Momentum)
     floors: Floors = field(default_factory=Floors)
     robot: RobotParameters = field(default_factory=RobotParameters)
+    setup: str = ""
     notes: tuple[str, ...] = ()
 
     @property
     def goal(self) -> Vector | None:
-        """Last goal, with the quaternion sign nearer to the last state; None without a goal."""
-        return nearer_sign(self.goals[-1], self.states[-1]) if len(self.goals) else None
+        """Pose nearest to the last state that the last goal allows; None without a goal.
 
-    @property
-    def goals_in_force(self) -> Vector:
-        """Goal at each pose, shape (n, 6); nan before the first goal."""
-        if not len(self.goals):
-            return np.full_like(self.states, np.nan)
-        which = np.searchsorted(self.goal_times, self.times, side="right") - 1
-        return np.where(which[:, None] < 0, np.nan, self.goals[np.maximum(which, 0)])
-
-    def errors(self, measure: ErrorMeasure = state_errors) -> tuple[Vector, Vector]:
-        """Return the times [s] of the poses with a goal in force, and their errors.
-
-        `measure` computes errors from states and goals, both of shape (n, 6).
+        Of its two quaternions it has the nearer one.
         """
-        goals = self.goals_in_force
-        known = np.all(np.isfinite(goals), axis=1)
-        return self.times[known], measure(self.states[known], goals[known])
+        last = self.states[-1]
+        return nearer_sign(self.goals[-1].nearest(last, 0.0), last) if self.goals else None
+
+    def goal_at(self, time: float) -> Goal | None:
+        """Return the goal in force at a time [s]; None before the first one."""
+        index = newest(self.goal_times, time)
+        return self.goals[index] if index >= 0 else None
+
+    @cached_property
+    def errors(self) -> Vector:
+        """The `ERRORS` at each pose to the goal in force, shape (n, 3); nan before the first."""
+        found = np.full((self.times.size, len(ERRORS)), np.nan)
+        which = np.searchsorted(self.goal_times, self.times, side="right") - 1
+        for i, goal in enumerate(self.goals):
+            found[which == i] = errors_to(goal, self.states[which == i])
+        return found
 
     @cached_property
     def clearances(self) -> Vector:
@@ -246,13 +251,23 @@ class Run:
 
     def metrics(self) -> Metrics | None:
         """Return the metrics of the run to the last goal; None without a goal."""
-        if not len(self.goals):
+        if not self.goals:
             return None
         run = self.to_goal(len(self.goals))
         return measure(
             run.times, run.states, run.goals[0], run.rotor_speeds, run.rotor_torques,
             run.solves.durations,
         )
+
+
+def setup_text(strategy: str, radius: float, max_speed: float, plant: str) -> str:
+    """Return strategy, radius of the shell [m], largest rotor speed [rad/s] and plant in words.
+
+    Those that are empty or nan are unknown.
+    """
+    size = f"radius {three_digits(radius)} m" if math.isfinite(radius) else "of unknown size"
+    limit = f", rotors up to {three_digits(max_speed)} rad/s" if math.isfinite(max_speed) else ""
+    return f"strategy {strategy or 'unknown'}; robot {size}{limit}; plant {plant or 'unknown'}"
 
 
 def _between(times: Vector, start: float, end: float) -> NDArray[np.intp]:

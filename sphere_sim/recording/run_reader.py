@@ -18,8 +18,9 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.foreign_text import cut, shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_sim.output.files import printable
@@ -34,15 +35,26 @@ from sphere_sim.recording.message_fields import (
     number,
     reported_disturbance,
     reported_momentum,
+    reported_orientation,
     reported_solve,
     stamp_of,
+    stamp_text,
     state_of,
 )
 from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.poses import read_poses
-from sphere_sim.recording.run import Floors, Momentum, Run, Solves, without_sign_jumps
+from sphere_sim.recording.run import (
+    Floors,
+    Momentum,
+    Run,
+    Solves,
+    setup_text,
+    without_sign_jumps,
+)
 from sphere_sim.recording.topic_roles import ROTORS, Robot, find_robot, is_read
 
+_LONGEST_STRATEGY = 100
+"""Characters of the name of a strategy or plant that are shown."""
 _LONGEST_SOLVE = 1e5
 """Duration that no solve has [s]."""
 _MOST_CONTACTS = 1000.0
@@ -77,27 +89,29 @@ def read_run(
     reader = _TopicReader(messages, robot, clock)
     joint_times, speeds, torques = reader.joint_states()
     goal_times, goals = reader.goals(times)
-    parameters = _recorded_robot(messages.custom_data, robot.controller)
+    known_parameters = _recorded_parameters(messages.custom_data, robot.controller)
+    parameters = _recorded_robot(known_parameters)
     solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
     floors = reader.floors()
     reader.tell_undated()
     return Run(
         printable(name or Path(storage_name(path)).stem), path, times, without_sign_jumps(states),
         joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, floors,
-        parameters, tuple(messages.notes),
+        parameters, reader.setup(known_parameters, parameters), tuple(messages.notes),
     )
 
 
-def _recorded_robot(custom_data: dict[str, str], node: str) -> RobotParameters:
-    """Return the robot that the recorded parameters ``robot.*`` of a node describe.
-
-    It has the defaults where the bag has no valid parameters of the node.
-    """
+def _recorded_parameters(custom_data: dict[str, str], node: str) -> dict[str, Any]:
+    """Return the recorded parameters of a node; empty where the bag does not have them."""
     try:
         values = json.loads(custom_data.get(f"{PARAMETERS_PREFIX}{node}", "{}"))
     except ValueError:
-        return RobotParameters()
-    values = values if isinstance(values, dict) else {}
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def _recorded_robot(values: dict[str, Any]) -> RobotParameters:
+    """Return the robot that the parameters ``robot.*`` describe; the default one if not valid."""
     names = [entry.name for entry in dataclasses.fields(RobotParameters)]
     try:
         return RobotParameters(
@@ -115,6 +129,19 @@ class _TopicReader:
         self._notes = messages.notes
         self._joint_states, self._trajectory = robot.joint_states, robot.rotor_trajectory
         self._undated: Counter[str] = Counter()
+
+    def setup(self, parameters: dict[str, Any], robot: RobotParameters) -> str:
+        """Return strategy, robot and plant in words, given the controller's parameters."""
+        used = [values.get("strategy", "") for _, values in self._statuses()]
+        strategies = list(dict.fromkeys(filter(None, used))) or [parameters.get("strategy", "")]
+        simulator = f"{self._robot}/simulator"
+        plant = _recorded_parameters(self._messages.custom_data, simulator).get("plant", "")
+        radius, speed = (
+            getattr(robot, name) if f"robot.{name}" in parameters else math.nan
+            for name in ("shell_radius", "max_rotor_speed")
+        )
+        strategy = cut(", then ".join(map(str, strategies)), _LONGEST_STRATEGY)
+        return setup_text(strategy, radius, speed, cut(str(plant), _LONGEST_STRATEGY))
 
     def joint_states(self) -> tuple[Vector, Vector, Vector]:
         """Return times [s], rotor speeds (m, 2) [rad/s] and torques (m, 2) [N m]."""
@@ -165,10 +192,11 @@ class _TopicReader:
             self._notes.append(f"{topic}: {count} invalid trajectories were ignored")
         return tuple(plans)
 
-    def goals(self, poses: Vector) -> tuple[Vector, Vector]:
-        """Return the times at which goals came into force [s], ascending, and the goals (g, 6).
+    def goals(self, poses: Vector) -> tuple[Vector, tuple[Goal, ...]]:
+        """Return the times at which goals came into force [s], ascending, and the goals.
 
-        Goals that were in force at none of the `poses`, times [s], are ignored.
+        A goal demands what the statuses say that name its message, or else a whole pose. Goals
+        that were in force at none of the `poses`, times [s], are ignored.
         """
         # Goals that the controller accepted are preferred to those that were requested.
         accepted = self._topics("/active_goal")
@@ -178,11 +206,15 @@ class _TopicReader:
             self._notes.append(
                 f"{self._robot}/goal_pose and active_goal are missing; no errors can be computed"
             )
-            return np.empty(0), np.empty((0, 6))
+            return np.empty(0), ()
         if len(accepted) > 1:
             self._notes.append(f"{', '.join(accepted[1:])}: ignored, goals are those of {topic}")
         if not accepted:
             self._notes.append("active_goal is missing; goal_pose is used instead")
+        demanded = {
+            values.get("active_goal_stamp"): reported_orientation(values)
+            for _, values in self._statuses()
+        } if accepted else {}
         entries = []
         for received, message in given:
             state = np.array(state_of(message))
@@ -194,20 +226,21 @@ class _TopicReader:
                 self._time(topic, message, received, latched=True)
                 if accepted else self._clock.time_of_log(received)
             )
-            entries.append((time, state))
+            orientation = demanded.get(stamp_text(message), Orientation.FULL)
+            entries.append((time, Goal(state, orientation)))
         if len(entries) < len(given):
             self._notes.append(f"{topic}: {len(given) - len(entries)} invalid goals were ignored")
         entries.sort(key=lambda entry: entry[0])
         # A goal that is sent again while it is in force stays in force from the first time on.
         changes = [
             entry for previous, entry in zip([None, *entries], entries, strict=False)
-            if previous is None or not np.array_equal(previous[1], entry[1])
+            if previous is None or not previous[1].equals(entry[1])
         ]
         return self._within_run(changes, topic, poses)
 
     def _within_run(
-        self, entries: list[tuple[float, Vector]], topic: str, poses: Vector
-    ) -> tuple[Vector, Vector]:
+        self, entries: list[tuple[float, Goal]], topic: str, poses: Vector
+    ) -> tuple[Vector, tuple[Goal, ...]]:
         """Return the goals that were in force at any pose."""
         end = float(poses[-1])
         late = ", ".join(f"{time:.6g}" for time, _ in entries if time > end)
@@ -219,7 +252,6 @@ class _TopicReader:
             )
             self._notes.append(f"{topic}: goal at {late} s, poses from 0 to {end:.6g} s: {result}")
         times = np.array([time for time, _ in entries])
-        goals = np.array([goal for _, goal in entries]).reshape(-1, 6)
         # The first pose of each goal: where two goals share it, only the second was in force.
         kept = np.diff(np.searchsorted(poses, times), append=len(poses)) > 0
         during = np.count_nonzero(~kept & (times >= 0.0))
@@ -227,7 +259,7 @@ class _TopicReader:
             self._notes.append(
                 f"{topic}: {during} goals were replaced before the next pose: ignored"
             )
-        return times[kept], goals[kept]
+        return times[kept], tuple(entries[i][1] for i in np.flatnonzero(kept))
 
     def solves(self) -> Solves:
         """Return the solves that the controller reported."""

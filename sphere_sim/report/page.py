@@ -11,21 +11,24 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc import __version__
+from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.output.files import write_atomically
-from sphere_sim.output.round_numbers import three_digits
+from sphere_sim.output.round_numbers import length, three_digits
 from sphere_sim.recording.run import Run
 from sphere_sim.report.reported import Reported, floor_metrics
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-       max-width: 64rem; margin: 2rem auto; padding: 0 1rem; }
+       max-width: 72rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; }
 table { border-collapse: collapse; } caption { text-align: left; color: #555; }
 th, td { text-align: left; padding: .3rem 1.2rem .3rem 0; border-bottom: 1px solid #ddd; }
 td { font-variant-numeric: tabular-nums; }
 figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
-.wide { overflow-x: auto; font-size: .9rem; margin-top: 1.5rem; }
-.wide td { white-space: nowrap; }
+.wide { overflow-x: auto; font-size: .85rem; margin-top: 1.5rem; }
+.wide th, .wide td { padding-right: .7rem; vertical-align: top; }
+.wide td { white-space: pre; }
 figcaption, .note { color: #555; font-size: .9rem; }
 """
 _ALARM = "font-weight: 600; color: #b3261e"
@@ -34,13 +37,14 @@ _ALARM = "font-weight: 600; color: #b3261e"
 def write_page(
     path: Path, reported: Sequence[Reported], figures: Sequence[tuple[str, str, Path]]
 ) -> None:
-    """Write the page of recordings with figures: heading, caption and SVG file of each.
+    """Write the page of recordings with figures: heading, caption and SVG or GIF file of each.
 
     Figures with equal headings share one.
     """
     title = "Run report: " + ", ".join(one.recording.name for one in reported)
     runs = [run for one in reported for run in one.runs.values()]
-    parts = [f"<h1>{escape(title)}</h1>", *_alarms(reported), _table(runs), *_notes(reported)]
+    parts = [f"<h1>{escape(title)}</h1>", *_setups(reported), *_alarms(reported)]
+    parts += [_table(runs), *_notes(reported)]
     parts += [_goals(one) for one in reported if len(one.recording.goals)]
     heading = ""
     for figure_heading, caption, file in figures:
@@ -69,11 +73,17 @@ def _motion_results(run: Run) -> list[tuple[str, str]]:
     if metrics is None:
         return []
     settled = _number(metrics.settle_time_s, "s") if metrics.settled else "not settled"
+    orientation = run.goals[-1].orientation
+    angle = f"{three_digits(math.degrees(metrics.final_orientation_error_rad))} deg"
+    if orientation is Orientation.ANY:
+        angle = "free"
+    elif orientation is Orientation.ANY_HEADING:
+        angle += f", {orientation.remark}"
     return [
         ("settling time (error < 1e-2)", settled),
         ("final error", f"{metrics.final_error:.2e}"),
-        ("final distance", _number(1e3 * metrics.final_position_error_m, "mm")),
-        ("final angle", _number(math.degrees(metrics.final_orientation_error_rad), "deg")),
+        ("final distance", length(metrics.final_position_error_m)),
+        ("final angle", angle),
         ("largest rotor speed", _number(metrics.max_rotor_speed, "rad/s")),
         ("largest rotor torque", _number(metrics.max_rotor_torque_nm, "N m")),
         ("solve time, median", _number(metrics.solve_ms_p50, "ms")),
@@ -103,8 +113,9 @@ def _floor_results(run: Run) -> list[tuple[str, str]]:
     found = floor_metrics(run)
     if not found:
         return []
+    clearance = found["least_clearance_m"]
     return [
-        ("least clearance", _number(1e3 * found["least_clearance_m"], "mm")),
+        ("least clearance", length(clearance) if math.isfinite(clearance) else "not recorded"),
         ("touches of what is occupied", _contacts(found)),
     ]
 
@@ -114,6 +125,15 @@ def _contacts(floor: dict[str, float]) -> str:
     count = f"{floor['contacts']:.0f}"
     first = _number(floor["first_contact_s"], "s")
     return f"{count}, the first at {first}" if floor["contacts"] else count
+
+
+def _setups(reported: Sequence[Reported]) -> list[str]:
+    """Return a paragraph for each recording with its strategy, robot and plant."""
+    several = len(reported) > 1
+    return [
+        f"<p>{escape(f'{one.recording.name}: ' * several + one.recording.setup)}</p>"
+        for one in reported
+    ]
 
 
 def _alarms(reported: Sequence[Reported]) -> list[str]:
@@ -152,17 +172,24 @@ def _goals(one: Reported) -> str:
     """Return the table with a row for each goal of a recording."""
     rows = []
     for columns, run in one.rows():
-        start, goal = (
-            ", ".join(map(three_digits, state)) for state in (run.states[0], run.goals[0])
-        )
+        goal = run.goals[0]
+        quaternion = [] if goal.orientation is Orientation.ANY else [_list(goal.pose[QUATERNION])]
+        target = _list(goal.pose[POSITION]), *quaternion, goal.orientation.remark
+        start = _list(run.states[0, POSITION]), _list(run.states[0, QUATERNION])
         rows.append({
-            "goal": str(columns["goal"]), "given at": _number(columns["time_s"], "s"),
-            "start": start, "target": goal, **dict(_motion_results(run)),
+            "goal": str(columns["goal"]), "given at": f"{columns['time_s']:.3g} s",
+            "start": "\n".join(start), "target": "\n".join(filter(None, target)),
+            **dict(_motion_results(run)),
         })
-    caption = f"{one.recording.name}: goals; states as x, y [m] and quaternion w, x, y, z"
+    caption = f"{one.recording.name}: goals; states as x, y [m], below quaternion w, x, y, z"
     head = _cells(rows[0], 'th scope="col"')
     table = _rows(head, *(_cells(row.values()) for row in rows), caption=caption)
     return f'<div class="wide">{table}</div>'
+
+
+def _list(values: Vector) -> str:
+    """Return components of a state as text, to a tenth of a millimetre."""
+    return ", ".join(three_digits(round(value, 4) + 0.0) for value in values.tolist())
 
 
 def _cells(texts: Iterable[str], tag: str = "td") -> str:
@@ -178,8 +205,9 @@ def _rows(*rows: str, caption: str = "") -> str:
 
 def _figure(caption: str, file: Path) -> str:
     data = base64.b64encode(file.read_bytes()).decode()
+    kind = {".svg": "svg+xml", ".gif": "gif"}[file.suffix]
     return (
-        f'<figure><img alt="{escape(caption)}" src="data:image/svg+xml;base64,{data}">'
+        f'<figure><img alt="{escape(caption)}" src="data:image/{kind};base64,{data}">'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 

@@ -4,7 +4,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -58,8 +58,9 @@ def write_report(
 ) -> Path:
     """Write a report into a folder that exists and return its page. Several runs are compared.
 
-    Numbers are written before figures, and animations, the largest files, last: on a full disk the
-    most important files exist, and OSError names the one that cannot be written.
+    Numbers are written before figures, and animations, the largest files, last, with the page once
+    more: on a full disk the most important files exist, and OSError names the one that cannot be
+    written.
     """
     summary = {one.recording.name: _summary(one) for one in reported}
     write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
@@ -89,7 +90,11 @@ def write_report(
     write_page(page, reported, figures)
     if animation:
         for prefix, run in runs.items():
-            write_animation(run, out / f"{prefix}animation.gif")
+            file = out / f"{prefix}animation.gif"
+            write_animation(run, file)
+            places = [i for i, (heading, *_) in enumerate(figures) if heading == run.name]
+            figures.insert(min(places, default=len(figures)), (run.name, "The run.", file))
+        write_page(page, reported, figures)
     return page
 
 
@@ -109,9 +114,12 @@ def _summary(one: Reported) -> dict[str, object]:
     return {**entry, "goals": goals, "notes": list(run.notes)}
 
 
-def _known(values: dict[str, float]) -> dict[str, float | None]:
+def _known(values: Mapping[str, float | str]) -> dict[str, float | str | None]:
     """Return the values with null for nan, which JSON does not have."""
-    return {key: None if math.isnan(value) else value for key, value in values.items()}
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in values.items()
+    }
 
 
 def _momentum(momentum: Momentum) -> dict[str, object]:

@@ -4,31 +4,29 @@
 
 import dataclasses
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sphere_nmpc.model.state import POSE_NAMES, Vector
-from sphere_sim.evaluation.metrics import (
-    Metrics,
-    angle_errors,
-    position_errors,
-    state_errors,
-    touches,
-)
+from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.state import POSE_NAMES, QUATERNION, Vector
+from sphere_sim.evaluation.metrics import ERRORS, Metrics, touches
 from sphere_sim.output.files import write_atomically
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run import Run
 
 COLUMNS = (
-    "goal", "time_s", "duration_s",
+    "goal", "goal_orientation", "time_s", "duration_s",
     *(f"{which}_{name}" for which in ("start", "goal") for name in POSE_NAMES),
     *(field.name for field in dataclasses.fields(Metrics)),
 )
-"""Columns of the table of goals: its number, when it came into force and for how long, the states
-at the start and at the goal, and the metrics of the run to it."""
+"""Columns of the table of goals: its number, what it demands of the orientation, when it came into
+force and for how long, the states at the start and at the goal, and the metrics of the run to it.
+The quaternion of a goal that demands nothing of the orientation is nan."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,13 +62,16 @@ class Reported:
         drawn = f"goal{'s' * (len(self.goals) > 1)} {', '.join(map(str, self.goals))}"
         return f"{number} goals; figures of {drawn}; --goal 1 2 ... or --goal all for others"
 
-    def rows(self) -> Iterator[tuple[dict[str, float], Run]]:
+    def rows(self) -> Iterator[tuple[dict[str, float | str], Run]]:
         """Yield for each goal of the recording its values of `COLUMNS`, and the run to it."""
         for i, time in enumerate(self.recording.goal_times, start=1):
             run = self.recording.to_goal(i)
+            orientation, target = run.goals[0].orientation, run.goals[0].pose.copy()
+            if orientation is Orientation.ANY:
+                target[QUATERNION] = np.nan
             values = (
-                i, float(time), float(run.times[-1]), *run.states[0].tolist(),
-                *run.goals[0].tolist(), *metrics_of(run).values(),
+                i, orientation.value, float(time), float(run.times[-1]), *run.states[0].tolist(),
+                *target.tolist(), *metrics_of(run).values(),
             )
             yield dict(zip(COLUMNS, values, strict=True)), run
 
@@ -123,10 +124,7 @@ def motion_table(run: Run) -> dict[str, Vector]:
     """
     table = {"time_s": run.times}
     table.update({name: run.states[:, i] for i, name in enumerate(POSE_NAMES)})
-    goals = run.goals_in_force
-    table["error"] = state_errors(run.states, goals)
-    table["position_error_m"] = position_errors(run.states, goals)
-    table["angle_error_rad"] = angle_errors(run.states, goals)
+    table |= dict(zip(ERRORS, run.errors.T, strict=True))
     if not run.floors.is_free:
         table["clearance_m"] = run.clearances
     for name, unit, values in (
@@ -145,28 +143,34 @@ def solve_table(run: Run) -> dict[str, Vector]:
     return {"time_s": solves.times, "solve_time_s": solves.durations, "cost": solves.costs}
 
 
-def goal_table(one: Reported) -> dict[str, Vector]:
+def goal_table(one: Reported) -> dict[str, NDArray[Any]]:
     """Return the columns of a table with one row for each goal; see `COLUMNS`."""
     rows = [values for values, _ in one.rows()]
-    return {name: np.array([row[name] for row in rows], dtype=float) for name in COLUMNS}
+    return {
+        name: np.array([row[name] for row in rows], str if name == "goal_orientation" else float)
+        for name in COLUMNS
+    }
 
 
-def write_csv(table: dict[str, Vector], path: Path) -> None:
-    """Write a table with a header line, exact to the last bit."""
-    rows = np.column_stack(list(table.values()))
+def write_csv(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write a table of numbers and words with a header line, exact to the last bit."""
+    columns = [
+        column if column.dtype.kind == "U" else np.char.mod("%.17g", column)
+        for column in table.values()
+    ]
     text = io.StringIO()
-    np.savetxt(text, rows, fmt="%.17g", delimiter=",", header=",".join(table), comments="")
+    np.savetxt(text, np.column_stack(columns), "%s", ",", header=",".join(table), comments="")
     write_atomically(path, text.getvalue())
 
 
-def write_parquet(table: dict[str, Vector], path: Path) -> None:
+def write_parquet(table: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write a table as Parquet."""
     # pyarrow is an optional dependency.
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     packed = io.BytesIO()
-    pq.write_table(pa.table(table), packed)
+    pq.write_table(pa.table(dict(table)), packed)
     write_atomically(path, packed.getvalue())
 
 

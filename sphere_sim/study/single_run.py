@@ -16,6 +16,7 @@ from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -96,7 +97,7 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     solve_times = np.array(planned)
     speeds = np.vstack((trajectory.speeds, inputs.speeds))
     measured = measure(
-        trajectory.times, trajectory.states, goal, speeds, trajectory.torques, solve_times
+        trajectory.times, trajectory.states, Goal(goal), speeds, trajectory.torques, solve_times
     )
     results = {name: finite(value) for name, value in asdict(measured).items()}
     errors = state_errors(trajectory.states, goal)

@@ -24,17 +24,19 @@ _THIN = 0.1
 
 def add_shell(
     scene: viser.SceneApi, name: str, radius: float, panels: Colour, opacity: float
-) -> None:
-    """Add a shell with marks that show its orientation, in the frame of a node of the scene.
+) -> viser.FrameHandle:
+    """Add a shell with marks that show its orientation as a node of the scene, and return that.
 
     Every other octant has the colour `panels` and this opacity; the others are more transparent.
     """
+    frame = scene.add_frame(name, show_axes=False)
     for even, colour, share in ((True, panels, 1.0), (False, colours.WHITE, 0.45)):
         mesh = octants(radius, even)
         _add(scene, f"{name}/panels_{int(even)}", mesh, colour, opacity * share)
     # Ends of body x and y, the axes of the rotors, and of body z.
     for axis, colour in enumerate((*colours.ROTORS, colours.INK)):
         _add(scene, f"{name}/pole_{axis}", cap(1.004 * radius, axis, 0.17), colour, None)
+    return frame
 
 
 class Ball:

@@ -16,7 +16,6 @@ from typing import Any
 
 import viser
 
-from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.output.round_numbers import round_down
 from sphere_sim.viewer import colours, source
 from sphere_sim.viewer.goal import GOAL_PRESETS
@@ -40,6 +39,7 @@ _LEGEND = """
 - **floor**: a line every {cell:g} m{walls}
 """
 _NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
+_SETUP = "padding-top:6px;font-size:12px;line-height:1.4;color:#666"
 _STATUS = "padding:6px 10px;margin:6px 0;border-radius:4px;color:white;font-weight:600"
 
 
@@ -279,17 +279,17 @@ def _status_bar(frame: Frame, live: bool) -> str:
 
 
 def _number_lines(frame: Frame) -> str:
-    """Return time, mode, distance to the goal and what is left of the way as HTML.
+    """Return time, mode, errors, what is left of the way, and who drives what as HTML.
 
     There are always four lines, and one more on a floor that is not free everywhere: the widgets
     below must not move under the mouse pointer.
     """
     distance = left = "–"
-    if frame.state is not None and frame.goal is not None:
-        distance = (
-            f"to the goal: <b>{position_error(frame.state, frame.goal):.3f} m</b>, "
-            f"<b>{angle_error(frame.state, frame.goal):.3f} rad</b>"
-        )
+    away, angle = source.errors_of(frame)
+    if frame.goal is not None and math.isfinite(away):
+        turn = f"<b>{angle:.3f} rad</b>" if math.isfinite(angle) else ""
+        parts = f"<b>{away:.3f} m</b>", turn, frame.goal.orientation.remark
+        distance = f"to the goal: {', '.join(filter(None, parts))}"
     progress = frame.progress
     if math.isfinite(progress.time_left):
         left = f"left: <b>{progress.time_left:.1f} s</b>"
@@ -301,4 +301,5 @@ def _number_lines(frame: Frame) -> str:
     if frame.floor is not None:
         clear = f"<b>{frame.clearance:.3f} m</b>" if math.isfinite(frame.clearance) else "–"
         lines.append(f"clearance of the plan {clear}")
-    return f'<div style="{_NUMBERS}">{"<br>".join(lines)}</div>'
+    setup = f'<div style="{_SETUP}">{html.escape(frame.setup)}</div>'
+    return f'<div style="{_NUMBERS}">{"<br>".join(lines)}{setup}</div>'

@@ -12,14 +12,13 @@ import viser
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import add_shell
 from sphere_sim.viewer.source import DragGoal
 
-_SAME = 1e-6
-"""Largest error between two goals that count as equal [mixed units]."""
 _VISIBLE = 1e-4
 """Least error from the goal in force that the label shows [mixed units]."""
 _ORIGIN = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -66,11 +65,15 @@ class GoalGizmo:
         self.radius = radius
         """Radius of the shell [m]."""
         self._position, self._orientation = self._add_handles(scene, on_drag)
-        add_shell(scene, "/goal/turn/shell", 0.98 * radius, colours.GOAL, 0.45)
+        self._shell = add_shell(scene, "/goal/turn/shell", 0.98 * radius, colours.GOAL, 0.45)
+        self._plain = scene.add_icosphere(
+            "/goal/plain", 0.98 * radius, colours.GOAL, opacity=0.3, visible=False,
+            cast_shadow=False, receive_shadow=False,
+        )
         self._label = scene.add_label(
             "/goal/label", "goal", position=(0.0, 0.0, -1.4 * radius), anchor="top-center"
         )
-        self._in_force: Vector | None = None
+        self._in_force: Goal | None = None
         self._dragged_until = 0.0
 
     def _add_handles(
@@ -115,21 +118,31 @@ class GoalGizmo:
         self._position.position = (float(goal[0]), float(goal[1]), self.radius)
         self._orientation.wxyz = goal[QUATERNION]
 
-    def show(self, in_force: Vector | None) -> None:
-        """Follow the goal in force when it changes, and update the label."""
+    def show(self, in_force: Goal | None, state: Vector | None) -> None:
+        """Follow the goal in force when it changes, and update shell and label.
+
+        Of a goal that leaves something of the orientation free the shell shows what is nearest to
+        the sphere's `state`, shape (6,), and nothing where all is free.
+        """
+        known = self._in_force
         if in_force is None:
             self._in_force = None
-        elif time.monotonic() > self._dragged_until:
-            known = self._in_force
-            if known is None or state_error(in_force, known) > _SAME:
-                self._in_force = in_force
-                self.move_to(in_force)
-        goal = self.goal
+        elif time.monotonic() > self._dragged_until and not (known and in_force.equals(known)):
+            self._in_force = in_force
+            self.move_to(in_force.pose)
+        known, goal = self._in_force, self.goal
         if goal is None:
-            goal = _ORIGIN if self._in_force is None else self._in_force
+            goal = _ORIGIN if known is None else known.pose
             self.move_to(goal)
-        known = self._in_force
-        equal = known is not None and state_error(goal, known) < _VISIBLE
-        text = "goal" if equal else "goal, not in force"
+        equal = known is not None and state_error(goal, known.pose) < _VISIBLE
+        orientation = known.orientation if known is not None and equal else Orientation.FULL
+        nearest = goal if state is None else orientation.nearest(goal, state)
+        turn = rotation.product(rotation.conjugate(goal[QUATERNION]), nearest[QUATERNION])
+        self._plain.visible = orientation is Orientation.ANY
+        self._shell.visible = not self._plain.visible
+        if self._shell.visible:
+            self._shell.wxyz = turn
+        remark = orientation.remark if equal else "not in force"
+        text = f"goal, {remark}" if remark else "goal"
         if text != self._label.text:
             self._label.text = text

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
@@ -15,6 +16,7 @@ from sphere_sim.recording.message_fields import (
     known,
     number,
     reported_momentum,
+    reported_orientation,
     reported_progress,
     reported_solve,
 )
@@ -48,6 +50,8 @@ class LiveFrame:
         """Why the newest floor cannot be shown; empty otherwise."""
         self._reported: tuple[str, ...] = ()
         self._has_goal = self._has_floor = True
+        self._goal_message: tuple[str, Vector | None] = "", None
+        self._demanded: tuple[str | None, Orientation] = None, Orientation.FULL
 
     @property
     def paused(self) -> bool:
@@ -91,15 +95,31 @@ class LiveFrame:
         )
 
     def update(self, **values: Any) -> None:
-        """Update the goal in force, shape (6,), the plan, shape (n, 6), or the floor."""
+        """Update the plan, shape (n, 6), or the floor."""
         self.frame = replace(self.frame, **values)
+
+    def add_goal(self, stamp: str, pose: Vector) -> None:
+        """Update the goal in force by a message with this stamp and a pose, shape (6,)."""
+        self._goal_message = stamp, pose
+        self._update_goal()
+
+    def _update_goal(self) -> None:
+        """Show the newest goal once a status says what it demands, where the statuses do so."""
+        named, orientation = self._demanded
+        stamp, pose = self._goal_message
+        if pose is not None and named in (None, stamp):
+            self.update(goal=Goal(pose, orientation))
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""
         given_up, missing = values.get("giving_up", ""), values.get("no_progress", "")
+        # The reason for which there is no progress may be what is given up.
+        given_up = "" if given_up in missing else f"the strategy gives up {given_up}"
         missing = f"no progress: {missing}" if missing else ""
         self._reported = tuple(filter(None, (given_up, missing)))
         self._has_goal = values.get("goal_stamp") != ""
+        self._demanded = values.get("active_goal_stamp"), reported_orientation(values)
+        self._update_goal()
         # One that is restarted without a floor publishes none.
         self._has_floor = CLEARANCE in values
         solve = reported_solve(values)

@@ -11,10 +11,10 @@ import viser
 from viser import uplot
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, angle_error, position_error
+from sphere_nmpc.model.state import Vector
 from sphere_sim.viewer import colours
 from sphere_sim.viewer.colours import Colour, css
-from sphere_sim.viewer.source import Frame, rotor_momentum
+from sphere_sim.viewer.source import Frame, errors_of, rotor_momentum
 
 _SMALLEST = 1e-9
 """Least value on a logarithmic axis."""
@@ -50,11 +50,9 @@ class History:
             self._rows and frame.time < self._rows[-1][0] + _SPACING
         ):
             return
-        goal = frame.goal
         self._rows.append((
             frame.time,
-            np.nan if goal is None else position_error(frame.state, goal),
-            np.nan if goal is None else angle_error(frame.state, goal),
+            *errors_of(frame),
             *map(float, frame.rotor_speeds), *map(float, frame.rotor_torques),
             frame.cost, frame.to_go, 1e3 * frame.solve_time,
             *map(float, frame.momentum),

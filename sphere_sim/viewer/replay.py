@@ -34,7 +34,6 @@ class Replay:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self._goals = run.goals_in_force
         self._duration = float(run.times[-1])
         self._constants = run.robot.lumped.as_array()
         self._time = 0.0
@@ -86,7 +85,6 @@ class Replay:
         at, joint = newest(run.times, moment), newest(run.joint_times, moment)
         solve = newest(run.solves.times, moment)
         to_go = self._to_go(solve)
-        goal = self._goals[at]
         unknown = np.full(2, np.nan)
         return Frame(
             time=moment,
@@ -95,7 +93,7 @@ class Replay:
             robot=run.robot,
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
-            goal=goal if np.all(np.isfinite(goal)) else None,
+            goal=run.goal_at(moment),
             floor=run.floors.at(moment),
             clearance=run.floors.clearance_at(moment),
             plan=self._plan_at(moment) if last else np.empty((0, 6)),
@@ -104,6 +102,7 @@ class Replay:
             to_go=to_go,
             momentum=run.momentum.at(moment),
             mode=run.solves.statuses[solve] if solve >= 0 else "",
+            setup=run.setup,
             restarted=restarted,
             capabilities=Capabilities(
                 pause=True, reset=True, paused=self._paused, speed=self._speed,

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Three-dimensional scene: created once, then only poses and new points of lines are sent."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,25 @@ CAMERA = (4.0, -4.4, 2.7)
 LOOK_AT = (0.9, -1.2, 0.0)
 """Initial position of the camera, and the point it looks at, for a sphere of `DEFAULT_RADIUS`;
 others are seen from a distance in proportion to their radius [m; world frame]."""
-_SPAN = 12.0
-"""Length that the initial view shows over the radius."""
-_SHOWN = 10.0 / 9.0
-"""Distance from the look-at point, over the length that is shown, within which a sphere is in
-view."""
+_DISTANCE = float(np.linalg.norm(np.subtract(CAMERA, LOOK_AT))) / DEFAULT_RADIUS
+"""Initial distance of the camera from the point it looks at over the radius."""
+_FIELD = math.radians(45.0)
+"""Vertical field of view."""
+_MARGIN = 1.05
+"""Distance of the camera over that from which a sphere touches the edge of the scene."""
+_PANELS = 0.79
+"""Width over height of the scene between the panels of a page of 1400 by 900 pixels."""
+
+
+def _axes() -> Vector:
+    """Return the directions to the right, up and ahead of the initial camera, shape (3, 3)."""
+    ahead = np.subtract(LOOK_AT, CAMERA) / (_DISTANCE * DEFAULT_RADIUS)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    return np.stack((right, np.cross(right, ahead), ahead))
+
+
+_AXES = _axes()
 
 
 class Scene:
@@ -33,11 +48,8 @@ class Scene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._scene = server.scene
-        server.initial_camera.fov = np.radians(45.0)
+        server.initial_camera.fov = _FIELD
         _add_lights(self._scene)
-        self._alerts = self._scene.add_label(
-            "/alerts", "", anchor="bottom-center", visible=False, font_screen_scale=1.1
-        )
         self._ball: Ball | None = None
         self._trace: Trail | None = None
         self.radius = DEFAULT_RADIUS
@@ -78,17 +90,11 @@ class Scene:
             self._ground.show(frame.state[POSITION], frame.plan)
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)
             self._trace.draw()
-            above = (float(frame.state[0]), float(frame.state[1]), 2.3 * self.radius)
-            self._alerts.position = above
-        alerts = "; ".join(frame.alerts)
-        if alerts != self._alerts.text:
-            self._alerts.text = alerts
-            self._alerts.visible = bool(alerts)
 
     def shows(self, position: Vector) -> bool:
-        """Return whether a position, shape (2,) [m], is within the initial view of a new page."""
-        at, span = self._view
-        return bool(np.linalg.norm(position - at) <= _SHOWN * span)
+        """Return whether a new page shows a sphere at a position, shape (2,) [m], as a whole."""
+        at, distance = self._view
+        return bool(distance_to_show(position[None], at, self.radius) <= distance)
 
     def report_clicks(self, on_click: Callable[[Vector], object] | None) -> None:
         """Call a function with each position on the floor that is clicked, shape (2,) [m].
@@ -111,16 +117,17 @@ class Scene:
 
         Where the sphere is small in that view, floor and lines are of the size of the view.
         """
-        low, high = places.min(axis=0), places.max(axis=0)
-        span = max(0.5 * _SPAN * self.radius, 1.2 * float(np.linalg.norm(high - low)))
-        self._view = 0.5 * (low + high), span
+        middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+        needed = _MARGIN * distance_to_show(places, middle, self.radius)
+        distance = max(0.5 * _DISTANCE * self.radius, needed)
+        self._view = middle, distance
         self._look(*self._view, self._server.initial_camera)
-        self._set_ground(max(self.radius, span / _SPAN))
+        self._set_ground(max(self.radius, distance / _DISTANCE))
 
     def find(self, state: Vector) -> None:
         """Point the camera of all pages at the sphere."""
         for client in self._server.get_clients().values():
-            self._look(state[POSITION], 0.5 * _SPAN * self.radius, client.camera)
+            self._look(state[POSITION], 0.5 * _DISTANCE * self.radius, client.camera)
 
     def _set_radius(self, radius: float) -> None:
         """Remove the sphere, set the radius, and look at the origin from the distance it needs."""
@@ -133,7 +140,8 @@ class Scene:
 
     def _look_from_the_start(self) -> None:
         pages = (client.camera for client in self._server.get_clients().values())
-        self._view = np.array(LOOK_AT[:2]) * self.radius / DEFAULT_RADIUS, _SPAN * self.radius
+        middle = np.array(LOOK_AT[:2]) * self.radius / DEFAULT_RADIUS
+        self._view = middle, _DISTANCE * self.radius
         for camera in (self._server.initial_camera, *pages):
             self._look(*self._view, camera)
 
@@ -142,11 +150,24 @@ class Scene:
             self._ground.clear_path()
             self._ground = Ground(self._scene, size)
 
-    def _look(self, at: Sequence[float] | Vector, span: float, camera: Any) -> None:
+    def _look(self, at: Vector, distance: float, camera: Any) -> None:
+        """Point a camera at a place, shape (2,) [m], from a distance [m]."""
         place = np.array((at[0], at[1], 0.0))
-        distance = span / (_SPAN * DEFAULT_RADIUS)
-        camera.position = place + distance * np.subtract(CAMERA, LOOK_AT)
+        camera.position = place - distance * _AXES[2]
         camera.look_at = place
+
+
+def distance_to_show(places: Vector, at: Vector, radius: float) -> float:
+    """Return how far the camera has to be from the point on the floor that it looks at [m].
+
+    From there it shows spheres of a radius [m] at `places`, shape (n, 2), between the panels; the
+    point is at `at`, shape (2,) [m].
+    """
+    offsets = np.column_stack((places - at, np.full(len(places), radius)))
+    right, up, ahead = _AXES @ offsets.T
+    half = math.tan(0.5 * _FIELD)
+    needed = np.maximum((np.abs(right) + radius) / (half * _PANELS), (np.abs(up) + radius) / half)
+    return float(np.max(needed - ahead))
 
 
 def on_floor(origin: Vector, direction: Vector) -> Vector | None:

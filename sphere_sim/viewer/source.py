@@ -11,8 +11,10 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.foreign_text import cut
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
+from sphere_sim.evaluation.metrics import errors_to
 from sphere_sim.recording.message_fields import ReportedProgress
 
 _DEFAULT = RobotParameters()
@@ -56,7 +58,7 @@ class Frame:
     ----------
     time : float
         Time of the state on the robot's clock [s].
-    state, goal : ndarray of shape (6,), or None
+    state, goal : ndarray of shape (6,), or None, and Goal or None
         State of the sphere, and goal in force.
     radius, robot : float and RobotParameters
         Radius of the shell [m]; inertia and limits of the rotors, which are the ranges of plots.
@@ -75,8 +77,8 @@ class Frame:
         Progress through the goals.
     momentum : ndarray, shape (3,)
         Momentum about the contact point that the controller estimates [N m s; world frame].
-    strategy, mode : str
-        Strategy and mode of the controller.
+    strategy, mode, setup : str
+        Strategy and mode of the controller; strategy, robot and plant in words.
     alerts, notices : tuple of str
         Present faults; messages to show once, such as the reason of a refused request.
     restarted : bool
@@ -89,7 +91,7 @@ class Frame:
     robot: RobotParameters = _DEFAULT
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
-    goal: Vector | None = None
+    goal: Goal | None = None
     plan: Vector = field(default_factory=lambda: np.empty((0, POSE_SIZE)))
     floor: Grid | None = None
     clearance: float = float("nan")
@@ -100,17 +102,26 @@ class Frame:
     momentum: Vector = field(default_factory=lambda: _unknown(3))
     strategy: str = ""
     mode: str = ""
+    setup: str = ""
     alerts: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     restarted: bool = False
     capabilities: Capabilities = Capabilities()
 
     def __post_init__(self) -> None:
-        for name in ("strategy", "mode"):
+        for name in ("strategy", "mode", "setup"):
             object.__setattr__(self, name, cut(getattr(self, name), LONGEST_TEXT))
         for name in ("alerts", "notices"):
             texts = tuple(cut(text, LONGEST_TEXT) for text in getattr(self, name))
             object.__setattr__(self, name, texts)
+
+
+def errors_of(frame: Frame) -> tuple[float, float]:
+    """Return distance [m] and angle [rad] to the goal, nan where they are unknown or not asked."""
+    if frame.state is None or frame.goal is None:
+        return float("nan"), float("nan")
+    _, distance, angle = errors_to(frame.goal, frame.state[None])[0].tolist()
+    return distance, angle
 
 
 def rotor_momentum(robot: RobotParameters) -> float:

@@ -56,6 +56,11 @@ class Viewer:
         """Address of the page, with its access token."""
         return self._server.url
 
+    @property
+    def has_pages(self) -> bool:
+        """Whether the page is open anywhere."""
+        return bool(self._server.get_clients())
+
     def tick(self) -> None:
         """Handle requests and show new frames; to be called once a `FRAME_PERIOD`."""
         for request in self._panel.take():
@@ -77,7 +82,7 @@ class Viewer:
         if now > self._panel_updated + _PANEL_PERIOD:
             self._panel_updated = now
             self._panel.show(self._frame, self._scene.cell)
-            if not self._server.get_clients():
+            if not self.has_pages:
                 self._choose_view()
             else:
                 self._plots.show(self._history, self._frame.robot)
@@ -94,7 +99,7 @@ class Viewer:
         """Let the page that is opened next show sphere and goal of a live robot."""
         state = self._frame.state
         if self._live and state is not None:
-            goal = state if self._frame.goal is None else self._frame.goal
+            goal = state if self._frame.goal is None else self._frame.goal.pose
             places = np.array([state[POSITION], goal[POSITION]])
             if not all(map(self._scene.shows, places)):
                 self._scene.look_at(places)
@@ -107,7 +112,7 @@ class Viewer:
                 return
             on_drag = self._panel.put if self._live else None
             self._goal = GoalGizmo(self._server.scene, self._scene.radius, on_drag)
-        self._goal.show(frame.goal)
+        self._goal.show(frame.goal, frame.state)
 
     def _carry_out(self, request: PageRequest) -> None:
         """Carry out a request of the page, or pass it on to the source."""

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small bags of a sphere, of the recorder and as rosbag2 writes them, and their messages."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -199,6 +199,14 @@ def goal_at(x: float, time: float) -> Entry:
     return "/controller/active_goal", POSE, stamp, pose(stamp, (x, 0, 1, 0, 0, 0))
 
 
+def demand(goal: Entry, orientation: str) -> Entry:
+    """Return the status that says what a goal of `goal_at` demands of the orientation."""
+    stamp = goal[3].header.stamp
+    named = f"{stamp.sec}.{stamp.nanosec:09d}"
+    values = {"active_goal_stamp": named, "goal_orientation": orientation}
+    return "/controller/status", STATUS, goal[2], status(**values)
+
+
 def in_order(*entries: Entry) -> list[Entry]:
     return sorted(entries, key=lambda entry: entry[2])
 
@@ -208,9 +216,10 @@ def without(entries: Iterable[Entry], *endings: str) -> list[Entry]:
     return [entry for entry in entries if not entry[0].endswith(endings)]
 
 
-def write_own(folder: Path, entries: Iterable[Entry]) -> Path:
-    """Write a bag of the recorder."""
+def write_own(folder: Path, entries: Iterable[Entry], custom: Mapping[str, str] = {}) -> Path:
+    """Write a bag of the recorder, with custom data."""
     writer = BagWriter(folder)
+    writer.custom_data.update(custom)
     for topic, kind, stamp, message in entries:
         writer.add_topic(topic, kind)
         writer.write(topic, stamp, bytes(STORE.serialize_cdr(message, kind)))

@@ -8,12 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.evaluation.metrics import (
-    SETTLED_ERROR,
-    angle_errors,
-    position_errors,
-    state_errors,
-)
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import (
@@ -23,6 +18,7 @@ from sphere_sim.report.figures.style import (
     ORANGE,
     SMALLEST_ERROR,
     VERMILION,
+    legend_above,
     mark_missing,
     styled,
 )
@@ -35,20 +31,16 @@ def error_over_time(run: Run) -> Figure:
         if run.goal is None:
             mark_missing(axes, "goal")
             return figure
-        parts = (
-            (state_errors, r"$\|x - x_d\|$ [m, -]"),
-            (position_errors, "distance [m]"),
-            (angle_errors, "angle [rad]"),
-        )
-        for i, (measure, label) in enumerate(parts):
-            times, errors = run.errors(measure)
-            axes.semilogy(times, np.maximum(errors, SMALLEST_ERROR), DASHES[i],
-                          color=COLOURS[i], label=label)
+        labels = (r"$\|x - x_d\|$ [m, -]", "distance [m]", "angle [rad]")
+        for i, (errors, label) in enumerate(zip(run.errors.T, labels, strict=True)):
+            if np.isfinite(errors).any():  # a goal may leave the orientation free
+                axes.semilogy(run.times, np.maximum(errors, SMALLEST_ERROR), DASHES[i],
+                              color=COLOURS[i], label=label)
         axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
         axes.annotate("settled below", (0.005, SETTLED_ERROR), color=GREY, fontsize=8,
                       xycoords=("axes fraction", "data"), ha="left", va="bottom")
         axes.set_xlim(0.0, run.times[-1])
-        axes.legend()
+        legend_above(axes)
         _label(axes, "error")
     return figure
 
@@ -73,7 +65,7 @@ def rotor_torques(run: Run) -> Figure:
                       fontsize=8, ha="right", va="bottom")
         axes.set_xlim(0.0, max(float(run.joint_times[-1]), 1e-3))
         axes.margins(y=0.12)
-        axes.legend(loc="lower right", ncols=2)
+        legend_above(axes)
         _label(axes, "torque [N m]")
     return figure
 
@@ -101,7 +93,7 @@ def solve_times(run: Run) -> Figure:
         histogram.set_xlabel("solve time [ms]")
         histogram.set_ylabel("solves")
         histogram.yaxis.set_major_locator(MaxNLocator(integer=True))
-        histogram.legend()
+        legend_above(histogram)
     return figure
 
 
@@ -142,7 +134,7 @@ def momentum_over_time(run: Run) -> Figure:
                       where="post", color=COLOURS[i], label=f"$H_{name}$")
         _draw_limits(axes, run.robot.rotor_axial_inertia * run.robot.max_rotor_speed)
         axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
-        axes.legend(loc="lower right", ncols=3)
+        legend_above(axes)
         _label(axes, "momentum [N m s; world]")
     return figure
 
@@ -151,7 +143,7 @@ def clearance_over_time(run: Run) -> Figure:
     """Draw the distance between the sphere and what is occupied, and that of its plans."""
     floors = run.floors
     with styled():
-        figure, axes = _single("Clearance: distance between the sphere and what is occupied")
+        figure, axes = _single("Clearance to what is occupied")
         if floors.report_times.size:
             axes.step(floors.report_times, floors.clearances, linestyle=DASHES[1], where="post",
                       color=COLOURS[5], label="of the plan, reported")
@@ -160,7 +152,7 @@ def clearance_over_time(run: Run) -> Figure:
         axes.annotate("touch", (0.005, 0.0), color=VERMILION, fontsize=8,
                       xycoords=("axes fraction", "data"), ha="left", va="bottom")
         axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
-        axes.legend()
+        legend_above(axes)
         _label(axes, "clearance [m]")
     return figure
 

@@ -13,8 +13,9 @@ import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFilter, ImageFont
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_sim.evaluation.metrics import angle_errors, position_errors, settling_index
+from sphere_sim.evaluation.metrics import settling_index
 from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.recording.run import Run
@@ -97,10 +98,9 @@ def write_animation(run: Run, path: Path) -> None:
 
     A run that does not settle is shown completely.
     """
-    times, errors = run.errors()
-    index, end = settling_index(errors), float(run.times[-1])
+    index, end = settling_index(run.errors[:, 0]), float(run.times[-1])
     if index is not None:
-        end = min(end, float(times[index]) + 0.5)
+        end = min(end, float(run.times[index]) + 0.5)
     instants = np.arange(0.0, end + 1e-9, 1.0 / _FRAME_RATE)
     indices = np.minimum(np.searchsorted(run.times, instants - 1e-9), run.times.size - 1)
     radius = run.robot.shell_radius
@@ -134,7 +134,9 @@ def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
         draw.line(camera.project([(left, y, 0.0), (right, y, 0.0)]), fill=_LINES, width=2)
     if run.goal is not None:
         place = (*run.goal[POSITION], radius)
-        _paint_ball(picture, camera, place, run.goal[QUATERNION], radius, opacity=0.28)
+        free = run.goals[-1].orientation is Orientation.ANY
+        shown = None if free else run.goal[QUATERNION]
+        _paint_ball(picture, camera, place, shown, radius, opacity=0.28)
     return picture
 
 
@@ -180,21 +182,21 @@ def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int, radius: float) -> 
     )
     text = f"{run.times[index]:4.1f} s"
     if run.goal is not None:
-        state = run.states[index : index + 1]
-        distance = float(position_errors(state, run.goal)[0])
-        angle = float(np.degrees(angle_errors(state, run.goal)[0]))
-        text += f"     to the goal: {distance:.{digits}f} m, {angle:.0f}\N{DEGREE SIGN}"
+        _, distance, angle = run.errors[index].tolist()
+        text += f"     to the goal: {distance:.{digits}f} m"
+        if math.isfinite(angle):
+            text += f", {math.degrees(angle):.0f}\N{DEGREE SIGN}"
     draw.text((12 * _OVERSAMPLING, 10 * _OVERSAMPLING), text, fill=_INK, font=font)
 
 
 def _paint_ball(
-    picture: Image.Image, camera: Camera, place: Sequence[float], quaternion: Vector,
+    picture: Image.Image, camera: Camera, place: Sequence[float], quaternion: Vector | None,
     radius: float, opacity: float = 1.0,
 ) -> None:
     """Draw a sphere with octants, circle Gamma and the ends of the rotors' axes.
 
-    Its centre is at `place` [m; world frame], its orientation the quaternion wxyz, body to world.
-    Only an opaque sphere has a shadow.
+    Its centre is at `place` [m; world frame], its orientation the quaternion wxyz, body to world;
+    one without an orientation is blue all over. Only an opaque sphere has a shadow.
     """
     x, y = camera.project([tuple(place)])[0]
     if opacity >= 1.0:
@@ -208,7 +210,9 @@ def _paint_ball(
     outside = a * a + b * b > 1.0
     c = np.sqrt(np.clip(1.0 - a * a - b * b, 0.0, 1.0))
     normals = np.stack((a, b, c), axis=-1) @ camera.axes
-    colours = _shell_colours(normals @ rotation.matrix(quaternion))
+    colours = np.broadcast_to(np.array(ImageColor.getrgb(BLUE), dtype=float), normals.shape)
+    if quaternion is not None:
+        colours = _shell_colours(normals @ rotation.matrix(quaternion))
     shade = 0.55 + 0.5 * np.clip(normals @ _LIGHT, 0.0, 1.0)
     painted = np.clip(colours * shade[..., None], 0, 255).astype(np.uint8)
     mask = np.where(outside, 0, round(255 * opacity)).astype(np.uint8)

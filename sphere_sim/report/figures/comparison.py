@@ -18,6 +18,7 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     SMALLEST_ERROR,
+    legend_above,
     literal,
     mark_missing,
     styled,
@@ -53,6 +54,7 @@ def comparison(runs: Sequence[Run]) -> Figure:
             if not axes.lines:
                 mark_missing(axes, "such series")
         solve.set_xscale("log")
+        _add_legend(figure, error)
     return figure
 
 
@@ -71,8 +73,9 @@ def side_by_side(first: Run, second: Run, title: str) -> Figure:
         path.plot(*first.states[0, :2], "o", color=BLACK, markersize=6, label="start")
         if first.goal is not None:
             path.plot(*first.goal[:2], "*", color=BLACK, markersize=13, label="goal", zorder=3)
-        path.legend(loc="best")
+        legend_above(path)
         error.set_xlim(0.0, end)
+        _add_legend(figure, error)
         figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
     return figure
 
@@ -83,16 +86,20 @@ def _style(i: int, run: Run) -> dict[str, Any]:
             "label": literal(run.name)}
 
 
+def _add_legend(figure: Figure, axes: Axes) -> None:
+    """Add the legend of the runs, which a panel has drawn, below all panels."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(handles)))
+
+
 def _draw_errors_and_paths(error: Axes, path: Axes, runs: Sequence[Run]) -> None:
     for i, run in enumerate(runs):
-        times, errors = run.errors()
-        error.semilogy(times, np.maximum(errors, SMALLEST_ERROR), **_style(i, run))
+        error.semilogy(run.times, np.maximum(run.errors[:, 0], SMALLEST_ERROR), **_style(i, run))
         path.plot(*run.states[:, :2].T, **{**_style(i, run), "label": None})
     error.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
     error.set_title("a: error; settled below the dotted line")
     error.set_xlabel("time [s]")
     error.set_ylabel(r"$\|x - x_d\|$ [m, -]")
-    error.legend(loc="best")
     path.set_aspect("equal", adjustable="datalim")
     path.set_title("b: path on the plane")
     path.set_xlabel("x [m]")
@@ -103,7 +110,6 @@ def _end_of_interest(runs: Sequence[Run]) -> float:
     """Return a time after all runs have settled [s]; inf if one has not."""
     ends = []
     for run in runs:
-        times, errors = run.errors()
-        index = settling_index(errors)
-        ends.append(float("inf") if index is None else float(times[index]))
+        index = settling_index(run.errors[:, 0])
+        ends.append(float("inf") if index is None else float(run.times[index]))
     return max(ends) + _AFTERWARDS

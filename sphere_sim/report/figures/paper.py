@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, contact_points
 from sphere_sim.output.floor_shapes import bordered, cropped, outlines
 from sphere_sim.recording.run import Run
@@ -21,6 +22,7 @@ from sphere_sim.report.figures.style import (
     GREY,
     VERMILION,
     WALL,
+    legend_above,
     mark_missing,
     styled,
 )
@@ -46,7 +48,7 @@ def _draw_position(axes: Axes, run: Run) -> None:
         axes.plot(run.times, run.states[:, i], DASHES[i], color=COLOURS[i], label=name)
     _draw_goal_lines(axes, run, POSITION)
     _over_time(axes, run, "a: position of the sphere", "position [m]")
-    axes.legend(loc="best", ncols=2)
+    legend_above(axes)
 
 
 def _draw_euler_parameters(axes: Axes, run: Run) -> None:
@@ -57,7 +59,7 @@ def _draw_euler_parameters(axes: Axes, run: Run) -> None:
     _draw_goal_lines(axes, run, QUATERNION)
     _over_time(axes, run, "b: Euler parameters", "Euler parameters [-]")
     axes.set_ylim(-1.08, 1.08)
-    axes.legend(loc="best", ncols=4)
+    legend_above(axes)
 
 
 def _draw_path(axes: Axes, run: Run) -> None:
@@ -78,7 +80,7 @@ def _draw_path(axes: Axes, run: Run) -> None:
     axes.set_title("c: path on the plane")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.legend(loc="best")
+    legend_above(axes)
 
 
 def _draw_floor(axes: Axes, run: Run) -> None:
@@ -110,7 +112,7 @@ def draw_rotor_speeds(axes: Axes, run: Run) -> None:
         for side in (-limit, limit):
             axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
         axes.set_ylim(-1.12 * limit, 1.12 * limit)
-        axes.legend(loc="best", ncols=2)
+        legend_above(axes)
         _over_time(axes, run, "d: rotor speeds", "rotor speed [rad/s]")
     else:
         axes.set_title("d: rotor speeds")
@@ -119,7 +121,8 @@ def draw_rotor_speeds(axes: Axes, run: Run) -> None:
 
 def _draw_goal_lines(axes: Axes, run: Run, part: slice) -> None:
     goal = run.goal
-    if goal is not None:
+    free = part == QUATERNION and run.goals and run.goals[-1].orientation is Orientation.ANY
+    if goal is not None and not free:
         for i, value in enumerate(goal[part]):
             axes.axhline(value, color=COLOURS[i], linewidth=0.9, linestyle=":", alpha=0.8)
 

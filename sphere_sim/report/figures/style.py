@@ -78,6 +78,13 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     return files
 
 
+def legend_above(axes: Axes) -> None:
+    """Add the legend of a panel beside its title, where it covers no curve."""
+    number = len(axes.get_legend_handles_labels()[0])
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=number, borderaxespad=0.1,
+                handlelength=1.6, columnspacing=1.0)
+
+
 def mark_missing(axes: Axes, what: str) -> None:
     """Mark a panel whose data the bag does not have."""
     axes.text(

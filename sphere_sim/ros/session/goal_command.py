@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 import rclpy
 
 from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
-from sphere_sim.recording.message_fields import number
+from sphere_sim.recording.message_fields import number, reported_orientation
 from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_arguments import GoalRequest, parse
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
@@ -58,7 +59,7 @@ def _outcome(request: GoalRequest, sender: GoalSender, spin: Callable[[], object
 
         with GoalDisplay(status) as display:
             took = wait_until_reached(sender, spin, display.update)
-        return f"reached after {took:.2f} s{_error(request, status)}"
+        return f"reached after {took:.2f} s{_error(status)}"
     # The newest decision may be one of before the goal.
     serve_until(spin, lambda: status.mode != Mode.NO_GOAL.value, _ANSWER_TIMEOUT)
     if obstacle := status.obstacle():
@@ -66,10 +67,10 @@ def _outcome(request: GoalRequest, sender: GoalSender, spin: Callable[[], object
     return f"in force; {status.topic} reports the progress"
 
 
-def _error(request: GoalRequest, status: ControllerStatus) -> str:
-    """Return the distance to the goal at the arrival."""
+def _error(status: ControllerStatus) -> str:
+    """Return the errors at the arrival of what the goal demands."""
     values = {"mm": 1e3 * number(status.values, "position_error_m")}
-    if not request.point:
+    if reported_orientation(status.values) is not Orientation.ANY:
         values["deg"] = math.degrees(number(status.values, "angle_error_rad"))
     known = [f"{value:.2g} {unit}" for unit, value in values.items() if math.isfinite(value)]
     return f", error {', '.join(known)}" if known else ""

@@ -71,7 +71,7 @@ class MarkerNode(RunnableNode):
         # Gamma is given in the body frame, so its marker has the pose of the sphere.
         markers[1].pose = markers[0].pose
         if frame.goal is not None:
-            markers.append(_shell("goal", frame.goal, radius, colours.GOAL, 0.3))
+            markers.append(_shell("goal", frame.goal.pose, radius, colours.GOAL, 0.3))
         for marker in markers:
             # With stamp 0 RViz uses the newest transform, and never waits for one of that time.
             marker.header.frame_id, marker.header.stamp = self._frame, Time()

@@ -9,6 +9,7 @@ calls       controller/enable, controller/cancel, simulator/pause, simulator/res
             where available
 """
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,6 +26,7 @@ from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
 from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.recording.run import setup_text
 from sphere_sim.ros.session.goal_messages import GoalMessage, point_message, pose_message
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
@@ -70,7 +72,7 @@ class TopicSource:
         self._notices: list[str] = []
         notify = self._notices.append
         self._speed = RemoteParameter(
-            node, "simulator", "real_time_factor", SimulatorNodeSettings, notify
+            node, "simulator", "real_time_factor", SimulatorNodeSettings, notify, ["plant"]
         )
         self._strategy = RemoteParameter(
             node, "controller", "strategy", ControllerSettings, notify,
@@ -81,14 +83,19 @@ class TopicSource:
         """Return the newest frame."""
         self._speed.refresh()
         self._strategy.refresh()
-        frame = replace(
-            self.subscriptions.newest(), capabilities=self._capabilities(),
-            robot=self._robot(), notices=tuple(self._notices),
-        )
+        frame, robot = self.subscriptions.newest(), self._robot()
+        notices = tuple(self._notices)
         self._notices.clear()
         # The parameter is newer than the status, which is not published while time is paused.
         strategy = self._strategy.value if self._strategy.writable else frame.strategy
-        return [replace(frame, strategy=strategy)]
+        setup = setup_text(
+            strategy, math.nan if frame.state is None else frame.radius,
+            math.nan if robot is None else robot.max_rotor_speed, self._plant(),
+        )
+        return [replace(
+            frame, strategy=strategy, setup=setup, robot=robot or RobotParameters(),
+            capabilities=self._capabilities(), notices=notices,
+        )]
 
     def handle(self, request: Request) -> str:
         """Publish the goal or push, call the service or set the parameter of a request."""
@@ -130,12 +137,17 @@ class TopicSource:
         if answer is not None and not answer.success:
             self._notices.append(answer.message)
 
-    def _robot(self) -> RobotParameters:
-        """Return the controller's robot; the default one while it is unknown or not valid."""
+    def _plant(self) -> str:
+        """Return the plant that is simulated; empty while it is unknown."""
+        known = self._speed.value is not None and self._speed.others
+        return str(self._speed.others[0]) if known else ""
+
+    def _robot(self) -> RobotParameters | None:
+        """Return the controller's robot; None while it is unknown or not valid."""
         try:
             return RobotParameters(**dict(zip(_DRIVE, self._strategy.others, strict=True)))
         except ValueError:  # not valid, or one is missing
-            return RobotParameters()
+            return None
 
     def _capabilities(self) -> Capabilities:
         speed, strategy = self._speed, self._strategy

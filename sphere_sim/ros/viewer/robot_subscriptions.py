@@ -24,7 +24,7 @@ from sphere_nmpc.ros.messages import (
     seconds,
     stamp_from_ros,
 )
-from sphere_sim.recording.message_fields import floor_of
+from sphere_sim.recording.message_fields import floor_of, stamp_text
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import Frame
 
@@ -96,7 +96,7 @@ class RobotSubscriptions:
     def _take_goal(self, message: PoseStamped) -> None:
         self._arrival()
         with suppress(InvalidStateError):
-            self._live.update(goal=pose_from_ros(message))
+            self._live.add_goal(stamp_text(message), pose_from_ros(message))
 
     def _take_plan(self, message: Path) -> None:
         self._live.controller_at = self._arrival()

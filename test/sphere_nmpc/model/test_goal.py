@@ -53,6 +53,16 @@ def test_nearest_member_is_in_the_set_and_no_drawn_one_is_nearer(kind, seed) -> 
     assert state_error(members[0], kind.nearest(pose, members[0])) < 1e-9
 
 
+@pytest.mark.parametrize("kind", Orientation)
+def test_nearest_members_of_many_states_are_those_of_each(kind) -> None:
+    pose = drawn(3)[0]
+    over = rotation.product(np.array([0.0, 1.0, 0.0, 0.0]), pose[QUATERNION])
+    states = np.array([*(drawn(seed)[1] for seed in range(20)), make_state((1.0, 2.0), over)])
+    expected = [kind.nearest(pose, state) for state in states]
+    np.testing.assert_allclose(kind.nearest_of(pose, states), expected, atol=1e-12)
+    assert kind.nearest_of(pose, states[:0]).shape == (0, 6)
+
+
 def test_upside_down_all_headings_are_as_near() -> None:
     pose, turned = upright_state(0.0, 0.0, 0.7), make_state((0.0, 0.0), (0.0, 1.0, 0.0, 0.0))
     found = Orientation.ANY_HEADING.nearest(pose, turned)

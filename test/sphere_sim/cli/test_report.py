@@ -16,12 +16,17 @@ import pytest
 from patience import PATIENCE
 from recorded_bags import (
     POSE,
+    STATUS,
     Entry,
+    changed,
+    demand,
     diagnostics,
     goal_at,
     in_order,
+    make,
     momentum_messages,
     pose,
+    status,
     walled_messages,
     without,
     write_own,
@@ -29,6 +34,7 @@ from recorded_bags import (
 
 from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import main
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report import report_files
 from sphere_sim.ros.session.child_process import verb_command
 
@@ -45,6 +51,9 @@ def approach(goals: int = 1) -> Iterator[Entry]:
             yield goal_at(float(k), float(k))
         x = k + (k + 1) * np.exp(-(i - 100 * k) / 10.0)
         yield "/pose", POSE, stamp, pose(stamp, (x, 0.0, 1.0, 0.0, 0.0, 0.0))
+
+
+OVER = make("geometry_msgs/msg/Quaternion", x=1.0, y=0.0, z=0.0, w=0.0)
 
 
 def make_bag(folder: Path, goals: int = 1) -> Path:
@@ -192,6 +201,50 @@ def test_bag_of_several_goals_has_a_row_for_each_and_says_whose_figures_are_draw
     assert [row[0] for row in goals] == ["1", "2", "3"]
     assert [row[4] for row in goals] == ["0.47 s", "0.53 s", "0.58 s"]
     assert len(np.genfromtxt(out / "motion.csv", delimiter=",", names=True)) == 300
+
+
+def test_report_says_what_was_asked_for_and_judges_that(tmp_path, capsys, one_figure) -> None:
+    bag, out = tmp_path / "run", tmp_path / "out"
+    turned = [changed(entry, edit=lambda message: setattr(message.pose, "orientation", OVER))
+              if entry[0] == "/pose" else entry for entry in approach(2)]
+    goals = [entry for entry in turned if entry[0] != "/pose"]
+    kinds = zip(goals, ("any", "any_heading"), strict=True)
+    write_own(bag, in_order(*turned, *(demand(goal, kind) for goal, kind in kinds)))
+    assert main([str(bag), "--out", str(out), "--goal", "all", "--csv", "--parquet"]) == 0
+    printed = capsys.readouterr().out
+    assert "run, goal 1: settling time (error < 1e-2) 0.47 s\n" in printed
+    assert "run, goal 1: final angle free\n" in printed
+    assert "run, goal 2: settling time (error < 1e-2) not settled\n" in printed
+    assert "run, goal 2: final angle 180 deg, any heading\n" in printed
+    header, *rows = (line.split(",") for line in (out / "goals.csv").read_text().splitlines())
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    assert columns["goal_orientation"] == ("any", "any_heading")
+    assert columns["goal_q1"] == ("nan", "1")
+    assert columns["final_orientation_error_rad"][0] == "nan"
+    assert pq.read_table(out / "goals.parquet")["goal_orientation"].to_pylist()[0] == "any"
+    first, _ = json.loads((out / "summary.json").read_text())["run"]["goals"]
+    assert first["settled"] and first["final_orientation_error_rad"] is first["goal_q1"] is None
+    errors = np.genfromtxt(out / "motion.csv", delimiter=",", names=True)
+    assert np.isnan(errors["angle_error_rad"][:100]).all() and errors["error"][99] < 1e-3
+    page = (out / "report.html").read_text()
+    targets = "0, 0\nposition only", "1, 0\n1, 0, 0, 0\nany heading"
+    assert all(f"<td>{target}</td>" in page for target in targets)
+
+
+def test_page_has_the_animation_and_says_what_moved_the_sphere(tmp_path, one_figure) -> None:
+    parameters = {"controller": {"robot.shell_radius": 0.3, "robot.max_rotor_speed": 80.0},
+                  "simulator": {"plant": "rigid_body"}}
+    out = tmp_path / "out"
+    data = {f"parameters:/{node}": json.dumps(values) for node, values in parameters.items()}
+    told = "/controller/status", STATUS, 6 * 10**9, status(strategy="paper", time_s=5.0)
+    bag = write_own(tmp_path / "told", [*approach(1), told], data)
+    unknown = "strategy unknown; robot of unknown size; plant unknown"
+    told = "strategy paper; robot radius 0.3 m, rotors up to 80 rad/s; plant rigid_body"
+    assert read_run(make_bag(tmp_path / "run")).setup == unknown
+    assert main([str(bag), "--out", str(out), "--animation"]) == 0
+    page = (out / "report.html").read_text()
+    assert f"<p>{told}</p>" in page
+    assert page.index("data:image/gif;base64,") < page.index("data:image/svg+xml;base64,")
 
 
 def test_figures_of_each_goal_that_is_asked_for_of_bags_with_unique_names(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import angle_error, position_error, state_error
 from sphere_sim.evaluation.metrics import (
     angle_errors,
@@ -62,7 +63,8 @@ def test_measure_of_a_straight_run() -> None:
     states[:, 0] = np.maximum(0.0, 5.0 - times)
     states[:, 2] = -1.0  # the other quaternion of the same orientation
     speeds = np.array([[1.0, -90.0], [np.nan, 3.0]])
-    metrics = measure(times, states, GOAL, speeds, np.empty((0, 2)), np.array([0.001, 0.003]))
+    goal, solves = Goal(GOAL), np.array([0.001, 0.003])
+    metrics = measure(times, states, goal, speeds, np.empty((0, 2)), solves)
     assert metrics.settled and metrics.settle_time_s == pytest.approx(5.0)
     assert metrics.final_error == 0.0
     assert metrics.max_rotor_speed == 90.0

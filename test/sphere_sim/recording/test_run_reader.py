@@ -7,12 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 from recorded_bags import (
+    POSE,
+    START,
+    STEP,
     Entry,
     changed,
+    demand,
     goal_at,
     in_order,
     momentum_messages,
     on_the_system_clock,
+    pose,
     run_messages,
     walled_messages,
     without,
@@ -22,6 +27,7 @@ from recorded_bags import (
 from rosbags.rosbag2 import Reader
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, imbalance_of_offset, slope_torque
+from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
@@ -173,6 +179,61 @@ def test_run_to_each_goal_has_what_belongs_to_it(tmp_path) -> None:
     assert first.goal[0] == 5.0 and last.goal[0] == 0.0
 
 
+def given_in_turn(*kinds: str, same_pose: bool = False) -> list[Entry]:
+    """Return the poses of `run_messages` with goals where they are after 1, 2 and 3 s.
+
+    The goals are upright, but the sphere has turned about the vertical and tilted there; their
+    kinds are in the statuses. Those of kind "" have none.
+    """
+    tilt = np.array([np.cos(0.3), np.sin(0.3), 0.0, 0.0])
+    poses = [
+        ("/pose", POSE, stamp, pose(stamp, (min(i // 100, 2.0 * (not same_pose)), 0.0, *tilt)))
+        for i in range(301) for stamp in (START + i * STEP,)
+    ]
+    goals = [goal_at(0.0 if same_pose else i, i) for i in range(len(kinds))]
+    told = [demand(goal, kind) for goal, kind in zip(goals, kinds, strict=True) if kind]
+    return in_order(*goals, *told, *poses)
+
+
+def test_errors_are_those_to_what_the_goals_demand(tmp_path) -> None:
+    kinds = ("any", "any_heading", "full")
+    run = read_run(write_own(tmp_path / "bag", given_in_turn(*kinds)))
+    point, heading, whole = (run.to_goal(i) for i in (1, 2, 3))
+    metrics = point.metrics()
+    assert metrics.settled and metrics.settle_time_s == metrics.final_error == 0.0
+    assert np.isnan(metrics.final_orientation_error_rad), "nothing is demanded of it"
+    for other in (heading, whole):
+        metrics = other.metrics()
+        assert not metrics.settled and metrics.final_position_error_m == 0.0
+        assert metrics.final_orientation_error_rad == pytest.approx(0.6)
+    assert [run.goal_at(time).orientation.value for time in (0.5, 1.5, 2.5)] == [*kinds]
+    assert np.all(run.errors[:100, :2] == 0.0) and np.isnan(run.errors[:100, 2]).all()
+
+
+def test_goal_with_any_heading_is_reached_with_any(tmp_path) -> None:
+    turned = [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]
+    entries = [entry for entry in given_in_turn("any_heading") if entry[0] != "/pose"]
+    entries += [("/pose", POSE, stamp, pose(stamp, (0.0, 0.0, *turned)))
+                for stamp in range(START, START + 100 * STEP, STEP)]
+    metrics = read_run(write_own(tmp_path / "bag", in_order(*entries))).metrics()
+    assert metrics.settled and metrics.final_orientation_error_rad < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["", "full", "upside down"])
+def test_goal_is_a_whole_pose_where_no_status_says_otherwise(tmp_path, kind) -> None:
+    run = read_run(write_own(tmp_path / "bag", given_in_turn(kind)))
+    assert run.goals[0].orientation is Orientation.FULL
+    assert run.metrics().final_orientation_error_rad == pytest.approx(0.6)
+
+
+def test_same_pose_that_is_given_again_for_its_position_is_another_goal(tmp_path) -> None:
+    entries = given_in_turn("full", "any", "any", same_pose=True)
+    run = read_run(write_own(tmp_path / "bag", entries))
+    assert [goal.orientation for goal in run.goals] == [Orientation.FULL, Orientation.ANY]
+    assert run.goal_times == pytest.approx([0.0, 1.0], abs=1e-9)
+    assert not run.to_goal(1).metrics().settled and run.to_goal(2).metrics().settled
+
+
 def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
     whole = list(run_messages())
     short = [entry for entry in whole if entry[2] < 7_000_000_000]
@@ -180,7 +241,7 @@ def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
     run = read_run(write_rosbag2(tmp_path / "bag", logged))
     expected = read_run(write_rosbag2(tmp_path / "whole", on_the_system_clock(whole)))
     assert run.metrics() == expected.metrics()
-    for name in ("times", "joint_times", "rotor_speeds", "goals_in_force"):
+    for name in ("times", "joint_times", "rotor_speeds", "errors"):
         np.testing.assert_array_equal(getattr(run, name), getattr(expected, name))
     assert len(run.plans) == len(expected.plans) == 7 and len(run.solves.times) == 7
     assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")
@@ -245,7 +306,7 @@ def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) 
     given = [goal_at(x, time) for x, time in goals]
     entries = in_order(*given, *without(run_messages(), "active_goal"))
     run = read_run(write_own(tmp_path / "bag", entries))
-    np.testing.assert_allclose(run.goals[:, 0], kept)
+    assert [goal.pose[0] for goal in run.goals] == pytest.approx(kept)
     assert run.goal_times[0] == pytest.approx(goals[0][1], abs=1e-9)
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
 

@@ -9,6 +9,7 @@ pytest.importorskip("viser")
 from browser import pixel, wait_for_scene
 from test_viewer import Script
 
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import make_state
 from sphere_sim.viewer.source import Cancel, Capabilities, Enable, Frame, SetPoint
 from sphere_sim.viewer.viewer import Viewer
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.slow
 def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(page, tmp_path) -> None:
     script = Script()
     state = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    script.next = [Frame(state=state, goal=state, capabilities=Capabilities(stop=True))]
+    script.next = [Frame(state=state, goal=Goal(state), capabilities=Capabilities(stop=True))]
     viewer = Viewer(script, 0, live=True)
 
     def wait_for(*expected: object) -> None:

@@ -20,6 +20,7 @@ from test_access import PROTOCOL, shake_hands
 from test_viewer import Script
 from websockets.exceptions import ConnectionClosed
 
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import make_state
 from sphere_sim.viewer.source import Capabilities, Frame, SendGoal, SetGoal
 from sphere_sim.viewer.viewer import Viewer
@@ -73,7 +74,7 @@ def invalid_messages(viewer: Viewer) -> Iterator[bytes | str]:
 def test_invalid_input_does_not_end_the_viewer(capfd) -> None:
     script, state = Script(), make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
     can = Capabilities(pause=True, reset=True, speed=1.0, strategies=("a", "b"))
-    script.next = [Frame(state=state, goal=state, capabilities=can)]
+    script.next = [Frame(state=state, goal=Goal(state), capabilities=can)]
     viewer = Viewer(script, 0, live=True)
     port = urlsplit(viewer.url).port
     try:

@@ -48,16 +48,41 @@ def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:
     live.add_status({"mode": long, "giving_up": long, "solve_time_s": "?"})
     frame = replace(live.take(0.1, 1), notices=(long, "short"))
     cut = 297 * "x" + "..."
-    assert cut == frame.mode == frame.notices[0] and cut in frame.alerts
+    assert cut == frame.mode == frame.notices[0]
+    assert f"the strategy gives up {long}"[:297] + "..." in frame.alerts
 
 
 def test_cancelled_goal_is_not_shown_until_there_is_another() -> None:
     live = LiveFrame(0.0)
-    live.update(goal=state(1.0))
+    live.add_goal("1.000000000", state(1.0))
     assert live.take(0.0, 1).goal is not None, "without a status, too"
     for stamp, shown in (("1.0", True), ("", False), ("2.0", True)):
         live.add_status({"goal_stamp": stamp})
         assert (live.take(0.0, 1).goal is not None) is shown
+
+
+def test_goal_is_shown_once_the_status_says_what_it_demands() -> None:
+    live = LiveFrame(0.0)
+
+    def shown() -> tuple[float, str] | None:
+        goal = live.take(0.0, 1).goal
+        return goal and (goal.pose[0], goal.orientation.value)
+
+    def tell(stamp: str, orientation: str) -> None:
+        live.add_status({
+            "goal_stamp": "1", "active_goal_stamp": stamp, "goal_orientation": orientation
+        })
+
+    tell("1.0", "any")
+    assert shown() is None, "of which only the status has arrived"
+    live.add_goal("1.0", state(1.0))
+    assert shown() == (1.0, "any")
+    live.add_goal("2.0", state(2.0))
+    assert shown() == (1.0, "any"), "until a status is about the other one"
+    tell("2.0", "any_heading")
+    assert shown() == (2.0, "any_heading")
+    live.add_status({"goal_stamp": "1"})
+    assert shown() == (2.0, "full"), "of a controller that does not say"
 
 
 def test_floor_is_shown_while_the_status_reports_a_clearance() -> None:
@@ -87,8 +112,11 @@ def test_missing_messages_and_what_the_status_gives_up_are_alerts() -> None:
     assert live.take(10.7, 0).alerts == ("no pose for 0.7 s", "controller gone")
     live.add_status({"giving_up": "2 degrees of the goal", "no_progress": "given a still sphere"})
     assert live.take(10.1, 1).alerts == (
-        "2 degrees of the goal", "no progress: given a still sphere"
+        "the strategy gives up 2 degrees of the goal", "no progress: given a still sphere"
     )
+    reason = "given a still sphere; the strategy gives up the goal: it is occupied"
+    live.add_status({"giving_up": "the goal: it is occupied", "no_progress": reason})
+    assert live.take(10.1, 1).alerts == (f"no progress: {reason}",), "one reason once"
     live.add_status({"giving_up": "", "no_progress": ""})
     assert live.take(10.1, 1).alerts == ()
 

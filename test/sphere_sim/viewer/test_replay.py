@@ -10,6 +10,7 @@ import pytest
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.solver.roll_out import roll_out
@@ -43,7 +44,7 @@ def replay(wall) -> Replay:
     )
     run = Run(
         "run", Path("run"), times, states, times, np.ones((len(times), 2)),
-        np.ones((len(times), 2)), np.array([1.0]), goal[None], (hold,), solves,
+        np.ones((len(times), 2)), np.array([1.0]), (Goal(goal),), (hold,), solves,
         Momentum(np.array([4.5]), MOMENTUM[None], (UNDISTURBED,)),
         Floors(np.array([2.0, 8.0]), (GRID, None), np.array([3.0]), np.array([0.125])),
     )
@@ -86,7 +87,7 @@ def test_plan_solve_goal_and_momentum_are_those_at_the_time_of_the_frame(replay)
     np.testing.assert_allclose(frame.plan[1], expected[1, :6], atol=1e-12)
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
     assert np.isnan(frame.to_go), "this solve reports no arrival"
-    assert frame.goal[0] == DURATION and frame.momentum.tolist() == MOMENTUM.tolist()
+    assert frame.goal.pose[0] == DURATION and frame.momentum.tolist() == MOMENTUM.tolist()
 
 
 def test_floor_and_clearance_are_those_at_the_time_of_the_frame(replay) -> None:

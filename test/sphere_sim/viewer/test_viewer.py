@@ -13,6 +13,7 @@ pytest.importorskip("viser")
 from robots import GIANT, PALM
 
 from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_sim.recording.message_fields import ReportedProgress
 from sphere_sim.viewer.goal import GOAL_PRESETS
@@ -86,7 +87,7 @@ def test_goal_is_sent_at_the_end_of_a_drag(viewer, script) -> None:
     viewer.tick()
     gizmo._position.position = (0.5, -0.5, 0.3)
     in_force = make_state((3.0, 3.0), (0.5, 0.5, 0.5, 0.5))
-    script.next = [at(1.0, 2.0, goal=in_force)]
+    script.next = [at(1.0, 2.0, goal=Goal(in_force))]
     viewer.tick()
     assert gizmo.goal[:2].tolist() == [0.5, -0.5], "a drag has precedence"
     viewer._panel.put(DragGoal(ended=True))
@@ -99,6 +100,28 @@ def test_goal_is_sent_at_the_end_of_a_drag(viewer, script) -> None:
     viewer.tick()
     assert gizmo._label.text == "goal, not in force", "it was cancelled"
     assert state_error(gizmo.goal, in_force) < 1e-9
+
+
+def test_goal_is_drawn_without_what_it_leaves_free(viewer, script) -> None:
+    pose = make_state((1.0, 0.0), UPRIGHT)
+
+    def show(orientation: Orientation) -> tuple[str, bool, bool]:
+        script.next = [replace(frame, goal=Goal(pose, orientation))]
+        viewer.tick()
+        gizmo = viewer._goal
+        return gizmo._label.text, gizmo._shell.visible, gizmo._plain.visible
+
+    turned = make_state((0.0, 0.0), (np.cos(0.4), 0.0, 0.0, np.sin(0.4)))
+    frame = Frame(state=turned)
+    assert show(Orientation.ANY) == ("goal, position only", False, True)
+    assert "to the goal: <b>1.000 m</b>, position only<br>" in viewer._panel._numbers.content
+    assert show(Orientation.ANY_HEADING) == ("goal, any heading", True, False)
+    assert viewer._goal._shell.wxyz == pytest.approx(turned[2:]), "with the sphere's heading"
+    assert show(Orientation.FULL) == ("goal", True, False)
+    assert viewer._goal._shell.wxyz == pytest.approx(UPRIGHT)
+    show(Orientation.ANY)
+    viewer._goal._orientation.wxyz = turned[2:]
+    assert show(Orientation.ANY) == ("goal, not in force", True, False), "it is being turned"
 
 
 def test_preset_is_sent_at_once_or_with_the_button(viewer, script) -> None:
@@ -204,17 +227,35 @@ def test_page_that_is_opened_shows_sphere_and_goal(viewer, script) -> None:
     script.next = [at(0.0, 0.0, radius=PALM.shell_radius)]
     viewer.tick()
     near = np.linalg.norm(np.subtract(camera.position, camera.look_at))
-    script.next = [at(0.0, 0.0, radius=PALM.shell_radius, goal=goal)]
+    script.next = [at(0.0, 0.0, radius=PALM.shell_radius, goal=Goal(goal))]
     viewer.tick()
     viewer._choose_view()
     assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0])
     assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 10.0 * near
 
 
+@pytest.mark.parametrize("radius", [DEFAULT_RADIUS, PALM.shell_radius])
+def test_page_of_1400_pixels_shows_spheres_beside_no_panel(viewer, script, radius) -> None:
+    places = radius * np.random.default_rng(2).uniform(-20.0, 20.0, (30, 2))
+    script.next = [at(0.0, 0.0, radius=radius)]
+    viewer.tick()
+    viewer._scene.look_at(places)
+    camera = viewer._server.initial_camera
+    ahead = np.subtract(camera.look_at, camera.position) / np.linalg.norm(
+        np.subtract(camera.look_at, camera.position))
+    right = np.cross(ahead, (0.0, 0.0, 1.0)) / np.linalg.norm(np.cross(ahead, (0.0, 0.0, 1.0)))
+    rays = np.column_stack((places, np.full(len(places), radius))) - camera.position
+    # Pixels from the centre of the scene, which is 712 wide between the panels.
+    aside = 450.0 / np.tan(0.5 * camera.fov) * (np.abs(rays @ right) + radius) / (rays @ ahead)
+    assert 300.0 < aside.max() < 356.0
+    assert all(map(viewer._scene.shows, places))
+    assert not viewer._scene.shows(places.mean(axis=0) + 40.0 * radius * right[:2])
+
+
 def test_history_is_limited_in_length_and_density() -> None:
     history = History()
     for time in np.arange(0.0, 60.0, 0.02):
-        history.add(at(time, 0.0, time=float(time), goal=make_state((0.0, 0.0), UPRIGHT)))
+        history.add(at(time, 0.0, time=float(time), goal=Goal(make_state((0.0, 0.0), UPRIGHT))))
     times = history.series()["time"]
     assert times[0] >= 29.9 and 350 <= len(times) <= 402
     assert np.allclose(history.series()["distance"], times)

@@ -11,6 +11,7 @@ from PIL import Image
 
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED
+from sphere_nmpc.model.goal import Goal
 from sphere_sim.recording.run import Floors, Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
@@ -43,7 +44,7 @@ def make_run(full: bool = True) -> Run:
         name="run", path=Path("bag"), times=times, states=states,
         joint_times=times[:n], rotor_speeds=90.0 * np.sin(np.outer(times[:n], (1, 2))),
         rotor_torques=np.cos(np.outer(times[:n], (1, 2))), goal_times=np.zeros(g),
-        goals=np.tile([0.0, 0, 1, 0, 0, 0], (g, 1)), plans=(),
+        goals=g * (Goal(np.array([0.0, 0, 1, 0, 0, 0])),), plans=(),
         solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
                       ("solved",) * k, np.full(k, np.nan)),
         momentum=Momentum(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0)),
@@ -55,6 +56,16 @@ def make_run(full: bool = True) -> Run:
 def test_figure_of_a_run_with_poses_only_is_drawn(name, tmp_path) -> None:
     png, svg = save(FIGURES[name](make_run(False)), tmp_path, name)
     assert png.read_bytes().startswith(b"\x89PNG") and "<svg" in svg.read_text()
+
+
+@pytest.mark.parametrize("name", ["panels", "error", "momentum", "solve"])
+def test_legends_cover_no_curve(name) -> None:
+    figure = FIGURES[name](make_run())
+    figure.draw_without_rendering()
+    legends = [(axes, axes.get_legend()) for axes in figure.axes if axes.get_legend()]
+    assert legends
+    for axes, legend in legends:
+        assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1.0
 
 
 def test_momentum_is_drawn_with_the_pushes_and_what_a_rotor_can_hold() -> None:

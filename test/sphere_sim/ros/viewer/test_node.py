@@ -80,10 +80,12 @@ def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> N
     source = TopicSource(late)
     graph.until(lambda: newest(source).state is not None and newest(source).goal is not None)
     assert newest(source).radius == pytest.approx(0.3)
-    assert state_error(newest(source).goal, GOAL) < 1e-9
+    assert state_error(newest(source).goal.pose, GOAL) < 1e-9
     graph.until(lambda: np.all(np.isfinite(newest(source).rotor_speeds)))
     graph.until(lambda: newest(source).strategy != "" and newest(source).alerts == ())
     graph.until(lambda: newest(source).robot == ROBOT)
+    setup = "strategy time_optimal; robot radius 0.3 m, rotors up to 60 rad/s; plant rolling"
+    graph.until(lambda: newest(source).setup == setup)
     assert set(newest(source).capabilities.strategies) == set(STRATEGIES)
 
     graph.until(lambda: newest(source).capabilities.pause and newest(source).capabilities.push)

@@ -41,6 +41,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.child import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model.state import as_state, upright_state
 from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
@@ -120,9 +121,7 @@ def actions(context: LaunchContext) -> list:
     """Return the actions to start."""
     refuse_unknown(context.argv)
     value = {name: context.launch_configurations[name] for name in ARGUMENTS}
-    params = str(Path(value["params_file"]).expanduser())
-    if not Path(params).is_file():
-        raise RuntimeError(f"params_file: given {params}, expected a file that exists")
+    params = existing("params_file", value["params_file"])
     # A file that includes this one may have pushed a namespace.
     outer = context.launch_configurations.get("ros_namespace", "")
     place = valid_namespace(outer, value["namespace"])
@@ -143,10 +142,7 @@ def actions(context: LaunchContext) -> list:
     following = {**clock, **frame}
     controller = dict(following)
     if given := value["map"]:
-        file = Path(given).expanduser().absolute()
-        if not file.is_file():
-            raise RuntimeError(f"map: given {given}, expected a file that exists")
-        simulator["map_file"] = controller["map_file"] = str(file)
+        simulator["map_file"] = controller["map_file"] = existing("map", given)
     if strategy := value["strategy"]:
         controller["strategy"] = strategy
     record, viewer, shown, navigator, respawn = (
@@ -283,6 +279,14 @@ def refusing(name: str, given: str, expected: str) -> Iterator[None]:
         raise RuntimeError(f"{name}: given {given}: {error}") from None
     except ValueError:
         raise RuntimeError(f"{name}: given {given}, expected {expected}") from None
+
+
+def existing(name: str, given: str) -> str:
+    """Return the absolute path of the file that an argument names."""
+    try:
+        return str(find_file(Path(given)))
+    except InvalidFileError as error:
+        raise RuntimeError(f"{name}: {error}") from None
 
 
 def valid_namespace(outer: str, namespace: str) -> str:

@@ -222,8 +222,8 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
         ("initial_state:=1e9,0,0", "initial_state: given 1e9,0,0: position: given"),
         ("world_frame:=/map", "world_frame: given '/map', expected a name"),
         ("namespace:=a//b", "namespace: given a//b, expected letters"),
-        ("params_file:=none.yaml", "params_file: given none.yaml, expected a file"),
-        ("map:=none.yaml", "map: given none.yaml, expected a file"),
+        ("params_file:=none.yaml", "params_file: none.yaml: given 'no such file', expected an ex"),
+        ("map:=none.yaml", "map: none.yaml: given 'no such file', expected an ex"),
         ("rvis:=true", "rvis: not an argument; known are strategy, plant"),
     ],
 )

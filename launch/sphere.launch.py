@@ -80,6 +80,9 @@ RVIZ_FRAMES = {"Fixed Frame", "Reference Frame", "Target Frame"}
 """Entries of a configuration of RViz that are lengths, and names of frames."""
 RESPAWN_DELAY = 2.0
 """Time between the end of a process and its restart [s]."""
+RESPAWN_MEMORY = 30.0
+"""Time after its end within which a restarted controller continues to its goal [s]: the delay, and
+the start of a node on a slow machine."""
 MISSING = 3
 FINDS = f"import importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
 """Program whose exit code tells whether a Python package is installed."""
@@ -104,7 +107,8 @@ ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
     "rviz": ("false", BOOLEAN, "Start RViz"),
     "viewer": ("false", BOOLEAN, "Serve the page of the viewer"),
     "navigator": ("false", BOOLEAN, "Offer the actions of Nav2, for which nav2_msgs is needed"),
-    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch"),
+    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch; a "
+                "controller then continues to its goal"),
 }
 """Default, choices and description of each argument."""
 
@@ -148,6 +152,7 @@ def actions(context: LaunchContext) -> list:
     record, viewer, shown, navigator, respawn = (
         value[name] in TRUE for name in ("record", "viewer", "rviz", "navigator", "respawn")
     )
+    controller |= {"goal_memory": RESPAWN_MEMORY} if respawn else {}
     needed = {"viewer:=true": "viser"} if viewer else {}
     needed |= {"plant:=rigid_body": "mujoco"} if value["plant"] == "rigid_body" else {}
     refuse_missing(needed)

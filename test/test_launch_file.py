@@ -130,6 +130,9 @@ def test_map_is_that_of_simulator_and_controller(tmp_path, monkeypatch) -> None:
 def test_nodes_are_restarted_if_wanted_and_then_none_ends_the_launch() -> None:
     actions = started("respawn:=true")
     assert [action["respawn"] for action in actions] == [True, True]
+    kept = {name: parameters(node).get("goal_memory") for name, node in nodes(actions).items()}
+    assert kept == {"simulator": None, "controller": 30.0}
+    assert "goal_memory" not in parameters(nodes(started())["controller"])
 
 
 class Run:

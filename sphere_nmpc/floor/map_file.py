@@ -185,7 +185,8 @@ def _pixels(
                 deep = np.asarray(opened)
                 hidden = opened.info.get("transparency")
                 return deep // 257, None if hidden is None else deep == hidden
-            found, transparent = opened, None
+            found: Image.Image = opened
+            transparent = None
             if "A" in opened.getbands() or "transparency" in opened.info:
                 found = opened.convert("RGBA")
                 transparent = np.asarray(found.getchannel("A")) < 255
@@ -208,16 +209,17 @@ def _entries(name: str, text: bytes) -> dict[str, _Entry]:
 
     depth = 0
     found: list[str | list[str]] = []
+    inner: list[str] = []
     for event in yaml.parse(text):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth == 1 and not isinstance(event, yaml.MappingStartEvent):
                 break
             if depth == _DEEPEST:
-                found.append([])
+                inner = []
+                found.append(inner)
         elif isinstance(event, yaml.ScalarEvent):
-            place = found[-1] if depth == _DEEPEST else found
-            place.append(event.value)
+            (inner if depth == _DEEPEST else found).append(event.value)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         # A few lines of aliases of aliases are a value that no memory can hold, and the parser
         # takes minutes for thousands of brackets.

@@ -180,7 +180,7 @@ def actions(context: LaunchContext) -> list:
     if navigator:
         nodes.append(Node(executable="navigator", parameters=[params, following], **own))
     if record:
-        nodes.append(recording(clock, own, place))
+        nodes.append(recording(params, clock, own, place))
     if viewer:
         nodes.append(Node(executable="viewer", parameters=[frame], **own))
     if shown:
@@ -329,11 +329,13 @@ def robot_description(params: str, place: str) -> str:
     return done.stdout
 
 
-def recording(clock: dict[str, bool], own: dict[str, Any], place: str) -> Node | ExecuteProcess:
+def recording(
+    params: str, clock: dict[str, bool], own: dict[str, Any], place: str
+) -> Node | ExecuteProcess:
     """Return rosbag2's recorder if installed, else the package's own; the format is the same."""
     # rosbag2 cannot use the clock of a namespace.
     if place or not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
-        return Node(executable="recorder", parameters=[clock], **own)
+        return Node(executable="recorder", parameters=[params, clock], **own)
     topics = [f"/{topic}" for topic in RECORDED] + list(ABSOLUTE)
     folder = f"runs/{datetime.now():%Y-%m-%d_%H-%M-%S}"
     follow = ["--use-sim-time"] if clock["use_sim_time"] else []

@@ -18,7 +18,6 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
@@ -32,7 +31,6 @@ from sphere_nmpc.ros.graph_monitor import INVALID, UNKNOWN, GraphMonitor, full_n
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.recorder_settings import (
-    DEFAULT_TOPICS,
     KNOWN_TYPES,
     LATCHED,
     RecorderSettings,
@@ -75,10 +73,10 @@ class RecorderNode(RunnableNode):
         super().__init__("recorder", parameter_overrides)
         settings = self.parameters.declare(RecorderSettings()).settings
         self._clock_topic = self.resolve_topic_name("/clock")
-        self._patterns = self._declare_topics()
-        self.parameters.warn_of_unknown("topics")
+        self._patterns = [self._full_name(topic) for topic in settings.topics]
+        self.parameters.warn_of_unknown()
         self._monitor = GraphMonitor(self, self._fault_log)
-        self._missing = MissingTopics(self, self.get_parameter("topics").value)
+        self._missing = MissingTopics(self, settings.topics)
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._subscriptions_by_topic: dict[str, TopicSubscription] = {}
         self._inbox: list[tuple[int, str, bytes]] = []
@@ -115,20 +113,6 @@ class RecorderNode(RunnableNode):
         """Record the messages that have arrived and close the bag."""
         self._record_arrived()
         self._stop()
-
-    def _declare_topics(self) -> list[str]:
-        name, given = "topics", None
-        if self.has_parameter(name):
-            given = self.get_parameter(name).value
-            self.undeclare_parameter(name)
-        about = ParameterDescriptor(
-            description="Topics to record; * stands for anything, names without a leading slash "
-            "are in the node's namespace",
-            read_only=True,
-        )
-        topics = [str(topic) for topic in given or DEFAULT_TOPICS]
-        self.declare_parameter(name, topics, about, ignore_override=True)
-        return [self._full_name(topic) for topic in topics]
 
     def _full_name(self, topic: str) -> str:
         """Return the full name of a topic or pattern; /clock is remapped in a namespace."""

@@ -41,6 +41,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.child import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model.state import as_state, upright_state
 from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
@@ -79,6 +80,9 @@ RVIZ_FRAMES = {"Fixed Frame", "Reference Frame", "Target Frame"}
 """Entries of a configuration of RViz that are lengths, and names of frames."""
 RESPAWN_DELAY = 2.0
 """Time between the end of a process and its restart [s]."""
+RESPAWN_MEMORY = 30.0
+"""Time after its end within which a restarted controller continues to its goal [s]: the delay, and
+the start of a node on a slow machine."""
 MISSING = 3
 FINDS = f"import importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
 """Program whose exit code tells whether a Python package is installed."""
@@ -103,7 +107,8 @@ ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
     "rviz": ("false", BOOLEAN, "Start RViz"),
     "viewer": ("false", BOOLEAN, "Serve the page of the viewer"),
     "navigator": ("false", BOOLEAN, "Offer the actions of Nav2, for which nav2_msgs is needed"),
-    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch"),
+    "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch; a "
+                "controller then continues to its goal"),
 }
 """Default, choices and description of each argument."""
 
@@ -120,9 +125,7 @@ def actions(context: LaunchContext) -> list:
     """Return the actions to start."""
     refuse_unknown(context.argv)
     value = {name: context.launch_configurations[name] for name in ARGUMENTS}
-    params = str(Path(value["params_file"]).expanduser())
-    if not Path(params).is_file():
-        raise RuntimeError(f"params_file: given {params}, expected a file that exists")
+    params = existing("params_file", value["params_file"])
     # A file that includes this one may have pushed a namespace.
     outer = context.launch_configurations.get("ros_namespace", "")
     place = valid_namespace(outer, value["namespace"])
@@ -143,15 +146,13 @@ def actions(context: LaunchContext) -> list:
     following = {**clock, **frame}
     controller = dict(following)
     if given := value["map"]:
-        file = Path(given).expanduser().absolute()
-        if not file.is_file():
-            raise RuntimeError(f"map: given {given}, expected a file that exists")
-        simulator["map_file"] = controller["map_file"] = str(file)
+        simulator["map_file"] = controller["map_file"] = existing("map", given)
     if strategy := value["strategy"]:
         controller["strategy"] = strategy
     record, viewer, shown, navigator, respawn = (
         value[name] in TRUE for name in ("record", "viewer", "rviz", "navigator", "respawn")
     )
+    controller |= {"goal_memory": RESPAWN_MEMORY} if respawn else {}
     needed = {"viewer:=true": "viser"} if viewer else {}
     needed |= {"plant:=rigid_body": "mujoco"} if value["plant"] == "rigid_body" else {}
     refuse_missing(needed)
@@ -179,7 +180,7 @@ def actions(context: LaunchContext) -> list:
     if navigator:
         nodes.append(Node(executable="navigator", parameters=[params, following], **own))
     if record:
-        nodes.append(recording(clock, own, place))
+        nodes.append(recording(params, clock, own, place))
     if viewer:
         nodes.append(Node(executable="viewer", parameters=[frame], **own))
     if shown:
@@ -285,6 +286,14 @@ def refusing(name: str, given: str, expected: str) -> Iterator[None]:
         raise RuntimeError(f"{name}: given {given}, expected {expected}") from None
 
 
+def existing(name: str, given: str) -> str:
+    """Return the absolute path of the file that an argument names."""
+    try:
+        return str(find_file(Path(given)))
+    except InvalidFileError as error:
+        raise RuntimeError(f"{name}: {error}") from None
+
+
 def valid_namespace(outer: str, namespace: str) -> str:
     """Return the whole namespace without slashes at its ends."""
     place = (namespace if namespace.startswith("/") else f"{outer}/{namespace}").strip("/")
@@ -320,11 +329,13 @@ def robot_description(params: str, place: str) -> str:
     return done.stdout
 
 
-def recording(clock: dict[str, bool], own: dict[str, Any], place: str) -> Node | ExecuteProcess:
+def recording(
+    params: str, clock: dict[str, bool], own: dict[str, Any], place: str
+) -> Node | ExecuteProcess:
     """Return rosbag2's recorder if installed, else the package's own; the format is the same."""
     # rosbag2 cannot use the clock of a namespace.
     if place or not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
-        return Node(executable="recorder", parameters=[clock], **own)
+        return Node(executable="recorder", parameters=[params, clock], **own)
     topics = [f"/{topic}" for topic in RECORDED] + list(ABSOLUTE)
     folder = f"runs/{datetime.now():%Y-%m-%d_%H-%M-%S}"
     follow = ["--use-sim-time"] if clock["use_sim_time"] else []

@@ -1,9 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Content of files that a user names, read in bounded time and memory whatever they are."""
+"""Files that a user names: where they are, and their content, read in bounded time and memory."""
 
 import os
 import stat
+import sys
 from pathlib import Path
 
 from sphere_nmpc.errors import InvalidValueError
@@ -16,6 +17,32 @@ _KINDS = {
 
 class InvalidFileError(InvalidValueError):
     """File that is none with a content of its own, such as a pipe, or is too large."""
+
+
+def find_file(path: Path) -> Path:
+    """Return the absolute path of a file that a user names; ``~`` is the user's home.
+
+    A relative path is looked for in the working directory, then among the files that come with
+    the package. `InvalidFileError` is raised if there is none, and says where was looked.
+    """
+    named = Path(os.path.expanduser(path))
+    folders = [Path("/")] if named.is_absolute() else [Path.cwd(), *_package_folders()]
+    places = list(dict.fromkeys(folder / named for folder in folders))
+    for place in places:
+        if place.exists():
+            return place
+    looked = " or ".join(str(place) for place in places)
+    raise InvalidFileError(str(path), "no such file", f"an existing file, {looked}")
+
+
+def _package_folders() -> list[Path]:
+    """Return the folders with the files that come with the package: installed, and its source."""
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    folders = [Path(prefix, "share", "sphere_nmpc") for prefix in prefixes if prefix]
+    return [
+        folder for folder in (*folders, Path(__file__).parents[1])
+        if (folder / "package.xml").is_file()
+    ]
 
 
 def read_file(path: Path, most_bytes: int) -> bytes:

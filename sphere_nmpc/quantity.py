@@ -72,6 +72,9 @@ def _check(name: str, value: Any, default: Any, about: Quantity) -> None:
         if not isinstance(value, str) or (about.choices and value not in about.choices):
             expected = " or ".join(about.choices) if about.choices else "a text"
             raise InvalidParameterError(name, value, expected)
+    elif isinstance(default, tuple) and isinstance(default[0], str):
+        if isinstance(value, str) or not value or not all(isinstance(one, str) for one in value):
+            raise InvalidParameterError(name, value, "a list of texts")
     elif isinstance(default, tuple):
         if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != len(default):
             raise InvalidParameterError(name, value, f"{len(default)} numbers [{about.unit}]")

@@ -40,7 +40,8 @@ def _lock_domain() -> int:
     folder = Path(tempfile.gettempdir())
     for domain in range(1, 102):
         try:
-            lock = os.open(folder / f"sphere_nmpc_domain_{domain}.lock", os.O_CREAT | os.O_RDWR)
+            path = folder / f"sphere_nmpc_domain_{domain}.lock"
+            lock = os.open(path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW)
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:  # held by another session, or left by another user
             continue
@@ -53,6 +54,9 @@ os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
 from sphere_nmpc.ros.network import use_loopback_only  # noqa: E402
 
 use_loopback_only()
+from children import end_with_this_process  # noqa: E402
+
+end_with_this_process()
 
 # No deadline, as the machine may be busy; equal examples in each run.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

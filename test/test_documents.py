@@ -35,7 +35,6 @@ from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.cli import benchmark, demo, report, study, viewer
 from sphere_sim.cli.main import VERBS
-from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.ros.session import goal_command
 
 PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
@@ -53,7 +52,6 @@ SETTINGS: dict[str, list[tuple[str, Any]]] = {
            *((prefix, more) for prefix, _, more in PARTS[node])]
     for node, settings in NODES.items()
 } | {
-    "recorder": [("", RecorderSettings())],
     "viewer": [("", FrameSettings())], "markers": [("", FrameSettings())], "goal": [],
 }
 """Settings of each node with the prefixes of their names."""

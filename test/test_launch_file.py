@@ -130,6 +130,9 @@ def test_map_is_that_of_simulator_and_controller(tmp_path, monkeypatch) -> None:
 def test_nodes_are_restarted_if_wanted_and_then_none_ends_the_launch() -> None:
     actions = started("respawn:=true")
     assert [action["respawn"] for action in actions] == [True, True]
+    kept = {name: parameters(node).get("goal_memory") for name, node in nodes(actions).items()}
+    assert kept == {"simulator": None, "controller": 30.0}
+    assert "goal_memory" not in parameters(nodes(started())["controller"])
 
 
 class Run:
@@ -222,8 +225,8 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
         ("initial_state:=1e9,0,0", "initial_state: given 1e9,0,0: position: given"),
         ("world_frame:=/map", "world_frame: given '/map', expected a name"),
         ("namespace:=a//b", "namespace: given a//b, expected letters"),
-        ("params_file:=none.yaml", "params_file: given none.yaml, expected a file"),
-        ("map:=none.yaml", "map: given none.yaml, expected a file"),
+        ("params_file:=none.yaml", "params_file: none.yaml: given 'no such file', expected an ex"),
+        ("map:=none.yaml", "map: none.yaml: given 'no such file', expected an ex"),
         ("rvis:=true", "rvis: not an argument; known are strategy, plant"),
     ],
 )

@@ -195,3 +195,25 @@ def test_sources_carry_the_licence_header() -> None:
         if not path.read_text().removeprefix("#!/usr/bin/env python3\n").startswith(HEADER)
     ]
     assert not bare
+
+
+def test_make_says_what_it_installs_and_how_large_it_is() -> None:
+    # The stamp of the environment counts as old, and nothing is done.
+    done = subprocess.run(
+        ["make", "--dry-run", "--always-make", "demo", "test"], cwd=ROOT, capture_output=True,
+        text=True, check=True,
+    )
+    told = [line for line in done.stdout.splitlines() if line.startswith("echo")]
+    for words in ("1 of 2", "MB to download", "GB on disk", "2 of 2", "2000 tests take"):
+        assert any(words in line for line in told), words
+
+
+def test_what_the_documents_write_is_ignored_by_git() -> None:
+    ignored = (ROOT / ".gitignore").read_text().splitlines()
+    documents = [ROOT / "README.md", ROOT / "Makefile", *(ROOT / "docs").glob("*.md")]
+    written = {
+        folder for text in documents
+        for folder in re.findall(r"--(?:out|json) (\w+/)", text.read_text(encoding="utf-8"))
+    }
+    assert "out/" in written
+    assert written - {"docs/"} <= set(ignored)

@@ -4,25 +4,16 @@
 
 import json
 import os
-import tempfile
 import time
 from pathlib import Path
 
 from sphere_nmpc.foreign_file import read_file
 from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
 from sphere_nmpc.model.state import as_state
+from sphere_nmpc.own_folder import own_folder
 
 _MOST_BYTES = 1_000_000
 """Size of the file: several times that of the longest list of goals."""
-
-
-def cache_folder() -> Path:
-    """Return the user's folder for files that are kept between runs; it may not exist yet."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if base.startswith("~"):
-        # Neither HOME nor an entry in the list of users, as of a bare user id in a container.
-        return Path(tempfile.gettempdir(), f"sphere_nmpc-{os.getuid()}")
-    return Path(base, "sphere_nmpc")
 
 
 class GoalMemory:
@@ -34,7 +25,7 @@ class GoalMemory:
     Parameters
     ----------
     path : Path
-        The file; its folder is made when it is first written.
+        The file, in a folder of this user alone, see `own_folder`.
     keep : float
         Time after the end of a controller within which its goals are resumed [s, wall].
     """
@@ -53,12 +44,10 @@ class GoalMemory:
         OSError
             If the file cannot be written.
         """
-        if self._keep <= 0.0:
-            return
+        own_folder(self._path.parent)
         if goals is None:
             self._path.unlink(missing_ok=True)
             return
-        self._path.parent.mkdir(parents=True, exist_ok=True)
         # A process that is killed while it writes must leave the old file or the new one intact.
         fresh = self._path.with_suffix(f".{os.getpid()}")
         content = {
@@ -73,8 +62,10 @@ class GoalMemory:
         """Return the goals of a controller that ended recently, and the time since [s, wall].
 
         None if there are none, if it ended too long ago, or if the clock, which now shows `stamp`
-        [ns], is another one or has been set back.
+        [ns], is another one or has been set back. OSError is raised if the folder may contain
+        goals of others.
         """
+        own_folder(self._path.parent)
         try:
             age = max(0.0, time.time() - self._path.stat().st_mtime)
             content = json.loads(read_file(self._path, _MOST_BYTES))

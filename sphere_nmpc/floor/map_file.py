@@ -1,13 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Maps in files, as map_server of Nav2 saves them: YAML with the name of an image, PGM or PNG."""
+"""Maps in files, as map_server of Nav2 loads them: YAML with the name of an image."""
 
 import io
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from sphere_nmpc.floor.occupancy import (
     check_geometry,
     grid_of_values,
 )
-from sphere_nmpc.foreign_file import InvalidFileError, read_file
+from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file
 from sphere_nmpc.foreign_text import shown
 
 _MOST_TEXT = 16_384
@@ -30,12 +30,24 @@ _MOST_IMAGE = 2 * MOST_CELLS + _MOST_TEXT
 """Bytes of the image: two for a pixel, which are as many as an uncompressed file has."""
 _MOST_PLAIN = 20_000_000
 """Bytes of an image in decimal numbers, with which its decoder takes up to 5 s."""
-_PLAIN = b"P2"
-_MAGIC = (b"P5", _PLAIN, b"\x89PNG")
-"""What images of the two formats begin with."""
-_FORMATS = "a PGM or PNG file"
-_OCCUPIED_THRESHOLD, _FREE_THRESHOLD = 0.65, 0.25
-"""Thresholds of map_server where a file has none."""
+_PLAIN = (b"P1", b"P2", b"P3")
+_MAGIC = (*_PLAIN, b"P4", b"P5", b"P6", b"\x89PNG")
+"""What images of the formats begin with."""
+_FORMATS = "a PGM, PPM, PBM or PNG file"
+_OCCUPIED_THRESHOLD, _FREE_THRESHOLD = "0.65", "0.25"
+"""Thresholds that map_saver writes, where a file has none."""
+_MODES = ("trinary", "scale", "raw")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
+_INTEGER = re.compile(r"[-+]?\d+", re.ASCII)
+_TRUTH = {
+    **dict.fromkeys(("true", "yes", "on", "y"), True),
+    **dict.fromkeys(("false", "no", "off", "n"), False),
+}
+_LUMA = (0.299, 0.587, 0.114, 0.0015 - 0.5)
+"""Grey of a colour (ITU-R BT.601), rounded down as GraphicsMagick does, which map_server uses: it
+computes with 16 bits, where only 0.999 of a level becomes a whole one. Pillow adds 0.5."""
+
+_Entry = str | list[str] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +80,13 @@ class MapValues:
 
 
 def read_map(path: Path) -> MapValues:
-    """Read a map file of mode trinary.
+    """Read a map file by the rules of map_server of ROS 2 Jazzy; see docs/floor.md.
 
     Parameters
     ----------
     path : Path
-        YAML file with image (relative to it), resolution [m], origin (x, y [m], yaw [rad]),
-        negate, occupied_thresh and free_thresh.
+        YAML file, looked for by `find_file`, with image (relative to it), resolution [m], origin
+        (x, y [m], yaw [rad]), mode, negate, occupied_thresh and free_thresh.
 
     Raises
     ------
@@ -83,7 +95,7 @@ def read_map(path: Path) -> MapValues:
     """
     name = f"map file {path}"
     try:
-        return _read(name, Path(path))
+        return _read(name, find_file(path))
     except InvalidMapError:
         raise
     except InvalidFileError as error:
@@ -93,29 +105,20 @@ def read_map(path: Path) -> MapValues:
 
 
 def _read(name: str, path: Path) -> MapValues:
-    import yaml
-
-    text = read_file(path, _MOST_TEXT).decode("utf-8")
-    depth = 0
-    for event in yaml.parse(text):
-        # A few lines of aliases of aliases are a value that no memory can hold, and the parser
-        # takes minutes for thousands of brackets.
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
-            what = "an alias" if depth <= _DEEPEST else "lists in lists"
-            raise InvalidMapError(name, what, "a YAML file of map_server, which has none")
-    entries = yaml.safe_load(text)
-    if not isinstance(entries, dict):
-        raise InvalidMapError(name, type(entries).__name__, "a mapping with image, resolution ...")
-    mode = entries.get("mode", "trinary")
-    if mode != "trinary":
-        raise InvalidMapError(name, f"mode {mode!r}", "trinary")
-    resolution = _number(name, entries, "resolution")
-    origin = _origin(name, entries)
-    negate = bool(_number(name, entries, "negate", 0.0))
-    occupied = _number(name, entries, "occupied_thresh", _OCCUPIED_THRESHOLD)
-    free = _number(name, entries, "free_thresh", _FREE_THRESHOLD)
+    entries = _entries(name, read_file(path, _MOST_TEXT))
+    given = entries.get("mode", "trinary")
+    mode = given.lower() if isinstance(given, str) else ""
+    if mode not in _MODES:
+        raise InvalidMapError(name, _written("mode", given), "trinary, scale or raw")
+    resolution = _number(name, "resolution", entries.get("resolution"))
+    origin = _origin(name, entries.get("origin"))
+    is_negated = _truth(name, "negate", entries.get("negate", "0"))
+    occupied, free = (
+        _number(name, key, entries.get(key, default))
+        for key, default in (
+            ("occupied_thresh", _OCCUPIED_THRESHOLD), ("free_thresh", _FREE_THRESHOLD)
+        )
+    )
     if not 0.0 <= free <= occupied <= 1.0:
         raise InvalidMapError(
             name, f"free_thresh {free:g} and occupied_thresh {occupied:g}",
@@ -123,26 +126,43 @@ def _read(name: str, path: Path) -> MapValues:
         )
     image = entries.get("image")
     if not isinstance(image, str) or not image:
-        raise InvalidMapError(name, f"image {image!r}", "the name of a PGM or PNG file")
+        raise InvalidMapError(name, _written("image", image), f"the name of {_FORMATS}")
     place = (*origin[:2], 0.0, 0.0, 0.0, math.sin(0.5 * origin[2]), math.cos(0.5 * origin[2]))
 
     def check(width: int, height: int) -> None:
         check_geometry(name, width, height, resolution, place)
 
-    pixels, white = _pixels(name, path.parent / image, check)
-    # In images black is 0, and row 0 at the top.
-    levels = np.arange(white + 1, dtype=np.float32) / np.float32(white)
-    shares = levels if negate else 1.0 - levels
-    values = np.full(shares.shape, -1, dtype=np.int8)
-    values[shares < free] = 0
-    values[shares > occupied] = 100
-    return MapValues(np.take(values, pixels[::-1], mode="clip"), resolution, origin)
+    pixels, transparent = _pixels(name, path.parent / image, check)
+    values = np.take(_values_of_greys(mode, is_negated, occupied, free), pixels)
+    if transparent is not None and mode != "raw":
+        values[transparent] = -1
+    return MapValues(values[::-1], resolution, origin)  # in images row 0 is at the top
+
+
+def _values_of_greys(
+    mode: str, is_negated: bool, occupied: float, free: float
+) -> NDArray[np.int8]:
+    """Return the value of a cell for each grey, shape (256,), computed in single precision."""
+    greys = np.arange(256)
+    if mode == "raw":
+        return np.where(greys <= 100, greys, -1).astype(np.int8)
+    shares = greys.astype(np.float32) / np.float32(255.0)
+    shares = shares if is_negated else np.float32(1.0) - shares
+    upper, lower = np.float32(occupied), np.float32(free)
+    values = np.full(256, -1, dtype=np.int8)
+    values[shares >= upper] = 100
+    if mode == "scale":
+        between = (shares > lower) & (shares < upper)
+        scaled = (shares[between] - lower) / np.float32(occupied - free) * np.float32(100.0)
+        values[between] = np.floor(scaled.astype(np.float64) + 0.5)
+    values[shares <= lower] = 0
+    return values
 
 
 def _pixels(
     name: str, image: Path, check: Callable[[int, int], None]
-) -> tuple[NDArray[np.integer], int]:
-    """Return the brightness of an image's pixels, shape (H, W), and that of white.
+) -> tuple[NDArray[np.integer], NDArray[np.bool_] | None]:
+    """Return the greys of an image's pixels, 0 to 255, shape (H, W), and which are transparent.
 
     `check` takes the numbers of columns and rows, and raises an error for those that are refused.
     """
@@ -161,8 +181,18 @@ def _pixels(
             )
         with Image.open(io.BytesIO(content), formats=("PPM", "PNG")) as opened:
             check(*opened.size)
-            is_deep = opened.mode.startswith("I")
-            pixels = np.asarray(opened if is_deep else opened.convert("L"))
+            if opened.mode.startswith("I"):  # 16 bits
+                deep = np.asarray(opened)
+                hidden = opened.info.get("transparency")
+                return deep // 257, None if hidden is None else deep == hidden
+            found: Image.Image = opened
+            transparent = None
+            if "A" in opened.getbands() or "transparency" in opened.info:
+                found = opened.convert("RGBA")
+                transparent = np.asarray(found.getchannel("A")) < 255
+            is_grey = opened.mode in ("1", "L")
+            grey = opened.convert("L") if is_grey else found.convert("RGB").convert("L", _LUMA)
+            return np.asarray(grey), transparent
     except InvalidMapError:
         raise
     except InvalidFileError as error:
@@ -171,22 +201,66 @@ def _pixels(
         raise InvalidMapError(name, f"image {image}: {shown(error)}", _FORMATS) from None
     finally:
         Image.MAX_IMAGE_PIXELS = limit
-    return pixels, 65535 if is_deep else 255
 
 
-def _number(name: str, entries: dict[str, Any], key: str, default: float | None = None) -> float:
-    given = entries.get(key, default)
-    if isinstance(given, bool):
-        given = float(given)
-    if not isinstance(given, int | float) or not math.isfinite(given):
-        shown = "no " + key if given is None else f"{key} {given!r}"
-        raise InvalidMapError(name, shown, "a finite number")
-    return float(given)
+def _entries(name: str, text: bytes) -> dict[str, _Entry]:
+    """Return the entries as texts, whose types are not those of YAML but what each has to be."""
+    import yaml
+
+    depth = 0
+    found: list[str | list[str]] = []
+    inner: list[str] = []
+    for event in yaml.parse(text):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth == 1 and not isinstance(event, yaml.MappingStartEvent):
+                break
+            if depth == _DEEPEST:
+                inner = []
+                found.append(inner)
+        elif isinstance(event, yaml.ScalarEvent):
+            (inner if depth == _DEEPEST else found).append(event.value)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        # A few lines of aliases of aliases are a value that no memory can hold, and the parser
+        # takes minutes for thousands of brackets.
+        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
+            what = "an alias" if depth <= _DEEPEST else "lists in lists"
+            raise InvalidMapError(name, what, "a YAML file of map_server, which has none")
+        if isinstance(event, yaml.DocumentEndEvent):
+            break
+    if depth or len(found) < 2:
+        raise InvalidMapError(name, shown(text), "a mapping with image, resolution ...")
+    # Of several entries of one name the first is in force.
+    pairs = zip(found[-2::-2], found[::-2], strict=True)
+    return {key: value for key, value in pairs if isinstance(key, str)}
 
 
-def _origin(name: str, entries: dict[str, Any]) -> tuple[float, float, float]:
-    given = entries.get("origin")
+def _number(name: str, key: str, given: _Entry) -> float:
+    value = math.nan
+    if isinstance(given, str) and _NUMBER.fullmatch(given):
+        value = float(given)
+    if not math.isfinite(value):
+        raise InvalidMapError(name, _written(key, given), "a finite number")
+    return value
+
+
+def _truth(name: str, key: str, given: _Entry) -> bool:
+    text = given.lower() if isinstance(given, str) else ""
+    if _INTEGER.fullmatch(text):
+        return int(text) != 0
+    if text not in _TRUTH:
+        raise InvalidMapError(name, _written(key, given), "0 or 1, true or false")
+    return _TRUTH[text]
+
+
+def _origin(name: str, given: _Entry) -> tuple[float, float, float]:
     if not isinstance(given, list) or len(given) != 3:
-        raise InvalidMapError(name, f"origin {given!r}", "[x, y, yaw]")
-    x, y, yaw = (_number(name, {"origin": value}, "origin") for value in given)
+        raise InvalidMapError(name, _written("origin", given), "[x, y, yaw]")
+    x, y, yaw = (_number(name, "origin", value) for value in given)
     return x, y, yaw
+
+
+def _written(key: str, given: _Entry) -> str:
+    if given is None:
+        return f"no {key}"
+    return f"{key} [{', '.join(given)}]" if isinstance(given, list) else f"{key} {given}"

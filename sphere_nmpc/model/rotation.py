@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
-NORM_TOLERANCE = 1e-2
+NORM_TOLERANCE = 2e-2
 """Largest deviation of the norm of a given quaternion from 1 that is accepted.
 
-The paper prints its cases with three or four digits; case 1 has |q| = 1.0006.
+As people type it, with two digits: four equal components that lose 0.01 each make the norm 0.02
+smaller; (0.7, 0.7), a quarter turn, has 0.98995. Case 1 of the paper, in four digits, has 1.0006.
 """
 
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])

@@ -55,6 +55,8 @@ class DeclaredSettings(Generic[S]):
         default = getattr(self._default, self.fields[name])
         if isinstance(default, tuple):
             items = value if hasattr(value, "__iter__") else (value,)
+            if isinstance(default[0], str):
+                return value if isinstance(value, str) else tuple(items)
             return tuple(map(float, items)) if all(map(_is_number, items)) else value
         return float(value) if isinstance(default, float) and _is_number(value) else value
 
@@ -137,13 +139,10 @@ class Parameters:
         self._owners |= dict.fromkeys(declared.fields, declared)
         return declared
 
-    def warn_of_unknown(self, *others: str) -> None:
-        """Warn of given parameters that the node does not have, and undeclare them.
-
-        `others` are parameters that it has beside the declared settings.
-        """
-        node, known = self._node, {*self._owners, *others}
-        names = set(node.list_parameters([], depth=0).names) - known
+    def warn_of_unknown(self) -> None:
+        """Warn of given parameters that the node does not have, and undeclare them."""
+        node = self._node
+        names = set(node.list_parameters([], depth=0).names) - set(self._owners)
         unknown = sorted(name for name in names if name.split(".")[0] not in _OF_RCLPY)
         for name in unknown:
             node.undeclare_parameter(name)

@@ -49,7 +49,7 @@ class ControllerNodeSettings(ControllerSettings):
     """Settings of the controller, and of its node: commands, lockstep and the stored goal."""
 
     goal_memory: float = quantity(
-        30.0, "s",
+        0.0, "s",
         "Time after the end of a controller within which a new one resumes its goal; 0 is never",
         minimum=0.0, maximum=3600.0,
     )

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sphere_nmpc.foreign_file import find_file
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.exits import if_interrupted
@@ -104,7 +105,7 @@ def _conditions(
         "controller.strategy": strategies[0] if strategies else None,
         "controller.learning": "false" if arguments.no_learning else None,
         # As workers of a cluster may have other working directories.
-        "floor.map_file": arguments.map and arguments.map.absolute(),
+        "floor.map_file": arguments.map and find_file(arguments.map),
         "simulator.plant": arguments.plant,
         "simulator.process_noise": arguments.process_noise,
         "simulator.position_noise": position_noise,

@@ -54,10 +54,14 @@ LATCHED = ("controller/active_goal", "controller/floor")
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """Folder, start and commit period of recordings."""
+    """Folder, topics, start and commit period of recordings."""
 
     output: str = quantity(
         "", "-", "Folder of the bag, which must not exist; runs/<date and time> if empty"
+    )
+    topics: tuple[str, ...] = quantity(
+        DEFAULT_TOPICS, "-", "Topics to record; * stands for anything, names without a leading "
+        "slash are in the node's namespace",
     )
     record_on_start: bool = quantity(
         True, "-", "Whether to record from the start, or to wait for the start service"

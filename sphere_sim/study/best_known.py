@@ -21,7 +21,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from sphere_nmpc.control.goal_memory import cache_folder
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -34,6 +33,7 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.model.torque import within_torque
+from sphere_nmpc.own_folder import cache_folder, own_folder
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
@@ -220,6 +220,7 @@ class BestKnownCache:
         """Times by key."""
         try:
             # Reading anything but a regular file might never end.
+            own_folder(path.parent)
             if path.exists() and not path.is_file():
                 raise OSError("not a file")
             text = path.read_bytes() if path.exists() else b""
@@ -242,7 +243,6 @@ class BestKnownCache:
         if not self._is_usable:
             return
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps([key, *found]) + "\n")
         except OSError as error:

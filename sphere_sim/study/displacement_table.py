@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from sphere_nmpc.control.goal_memory import cache_folder
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.own_folder import cache_folder, own_folder
 from sphere_sim.study.displacement import FASTEST, DisplacementSteps
 from sphere_sim.study.orientation_grid import OrientationGrid, angles_of
 from sphere_sim.study.progress import shown
@@ -105,7 +105,7 @@ class DisplacementTable:
 
     def save(self, path: Path) -> None:
         """Write the table to a file, which is there as a whole or not at all."""
-        path.parent.mkdir(parents=True, exist_ok=True)
+        own_folder(path.parent)
         handle, name = tempfile.mkstemp(dir=path.parent, suffix=".npz")
         try:
             with os.fdopen(handle, "wb") as file:
@@ -170,6 +170,7 @@ def _table(transverse_ratio: float, axial_ratio: float, size: int) -> Displaceme
     grid = OrientationGrid(size, transverse_ratio, axial_ratio)
     # A damaged file is replaced; reading anything but a regular file might never end.
     with contextlib.suppress(OSError, *_DAMAGED):
+        own_folder(path.parent)
         if path.is_file():
             table = DisplacementTable.load(grid, path)
             if table is not None:

@@ -39,7 +39,7 @@ FLOORS = {
         ("model",),
         ("quantity", "fault_log", "worker", "foreign_file"),
         ("child", "errors", "library_threads"),
-        ("foreign_text", "channel"),
+        ("foreign_text", "channel", "own_folder"),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

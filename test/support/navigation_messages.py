@@ -88,9 +88,12 @@ def lacking() -> str:
 
 def built() -> Path:
     """Return the folder that holds the package; one process builds it, while others wait."""
+    from sphere_nmpc.own_folder import own_folder
+
     decisive = [Path(__file__).read_bytes(), sys.version.encode(), sys.prefix.encode()]
     digest = hashlib.sha256(b"\n".join(decisive)).hexdigest()[:16]
-    folder = Path(tempfile.gettempdir(), f"sphere_nmpc_{PACKAGE}_{os.getuid()}_{digest}")
+    shared = own_folder(Path(tempfile.gettempdir(), f"sphere_nmpc-{os.getuid()}"))
+    folder = shared / f"{PACKAGE}_{digest}"
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not folder.exists():
@@ -99,8 +102,6 @@ def built() -> Path:
                 prefix = {"AMENT_PREFIX_PATH": sys.prefix}
                 _run(sys.executable, __file__, work, environment=os.environ | prefix)
                 os.replace(Path(work, _BUILT), folder)
-    if folder.stat().st_uid != os.getuid():
-        raise RuntimeError(f"{folder}: of another user, expected one of this user; remove it")
     return folder
 
 

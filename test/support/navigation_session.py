@@ -38,7 +38,9 @@ class Session:
             "simulator": {
                 "real_time_factor": FACTOR, "initial_state": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
             },
-            "controller": {"use_sim_time": True, **({"floor": floor} if floor else {})},
+            "controller": {
+                "use_sim_time": True, "goal_memory": 30.0, **({"floor": floor} if floor else {}),
+            },
             "navigator": {"use_sim_time": True, **patient, **navigator},
         }
         for verb, parameters in given.items():

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from sphere_nmpc.control.goal_memory import GoalMemory, cache_folder
+from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.goal import Itinerary
+from sphere_nmpc.own_folder import cache_folder
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 
 
@@ -18,11 +19,11 @@ class StoredGoal:
     """File with the goals in force; those of the last run are restored from it once.
 
     They are restored if that run ended at most `keep` [s, wall] ago, and written by a thread of
-    its own, since a disk may take longer than a control period.
+    its own, since a disk may take longer than a control period. With 0 there is no file.
     """
 
     def __init__(self, node: Node, keep: float, clock: ControlClock, fault_log: FaultLog) -> None:
-        self._memory: GoalMemory | None = GoalMemory(goal_file(node), keep)
+        self._memory = GoalMemory(goal_file(node), keep) if keep > 0.0 else None
         self._clock = clock
         self._fault_log = fault_log
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stored_goal")
@@ -40,7 +41,11 @@ class StoredGoal:
         self.is_settled = True
         if self._memory is None:
             return None
-        return self._memory.recall(self._clock.stamp(), self._clock.simulated)
+        try:
+            return self._memory.recall(self._clock.stamp(), self._clock.simulated)
+        except OSError as error:
+            self._give_up(error)
+            return None
 
     def supersede(self) -> None:
         """Do not restore goals: new ones have been received."""
@@ -65,14 +70,15 @@ class StoredGoal:
             return
         error, self._written = self._written.exception(), None
         if error is not None:
-            self._memory = None
-            self._fault_log.report(
-                "goal not kept", f"{error}; a restart will begin without a goal"
-            )
+            self._give_up(error)
+
+    def _give_up(self, error: BaseException) -> None:
+        self._memory = None
+        self._fault_log.report("goal not kept", f"{error}; a restart will begin without a goal")
 
 
 def goal_file(node: Node) -> Path:
     """Return the file for the goal of a node, one for each domain and full name."""
     name = node.get_fully_qualified_name().strip("/").replace("/", ".")
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    return cache_folder() / "goals" / f"{domain}.{name}.json"
+    return cache_folder() / f"goal.{domain}.{name}.json"

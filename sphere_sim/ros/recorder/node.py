@@ -20,7 +20,6 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
@@ -44,7 +43,6 @@ from sphere_nmpc.ros.messages import message_object
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
 from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.recorder_settings import (
-    DEFAULT_TOPICS,
     KNOWN_TYPES,
     LATCHED,
     RecorderSettings,
@@ -87,10 +85,10 @@ class RecorderNode(RunnableNode):
         super().__init__("recorder", parameter_overrides)
         settings = self.parameters.declare(RecorderSettings()).settings
         self._clock_topic = self.resolve_topic_name("/clock")
-        self._patterns = self._declare_topics()
-        self.parameters.warn_of_unknown("topics")
+        self._patterns = [self._full_name(topic) for topic in settings.topics]
+        self.parameters.warn_of_unknown()
         self._monitor = GraphMonitor(self, self._fault_log)
-        self._missing = MissingTopics(self, self.get_parameter("topics").value)
+        self._missing = MissingTopics(self, settings.topics)
         self._uses_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._subscriptions_by_topic: dict[str, TopicSubscription] = {}
         self._inbox: list[tuple[int, str, bytes]] = []
@@ -130,20 +128,6 @@ class RecorderNode(RunnableNode):
         """Record the messages that have arrived and close the bag."""
         self._record_arrived()
         self._stop()
-
-    def _declare_topics(self) -> list[str]:
-        name, given = "topics", None
-        if self.has_parameter(name):
-            given = self.get_parameter(name).value
-            self.undeclare_parameter(name)
-        about = ParameterDescriptor(
-            description="Topics to record; * stands for anything, names without a leading slash "
-            "are in the node's namespace",
-            read_only=True,
-        )
-        topics = [str(topic) for topic in given or DEFAULT_TOPICS]
-        self.declare_parameter(name, topics, about, ignore_override=True)
-        return [self._full_name(topic) for topic in topics]
 
     def _full_name(self, topic: str) -> str:
         return full_name_of_topic(self, topic)

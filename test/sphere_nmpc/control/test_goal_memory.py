@@ -39,8 +39,6 @@ def test_goal_is_resumed_for_some_time_and_on_the_same_clock_only(
     assert GoalMemory(path, 29.0).recall(STAMP, True) is None
     memory.save(None, STAMP, True)
     assert memory.recall(STAMP, True) is None and not list(path.parent.iterdir())
-    GoalMemory(path, 0.0).save(GOALS, STAMP, True)
-    assert not path.exists(), "goals are not kept"
 
 
 _UPRIGHT = '["full", 0, 0, 1, 0, 0, 0]'
@@ -73,5 +71,16 @@ def test_content_of_the_tests_above_is_valid_but_for_what_they_change(path: Path
 
 def test_folder_that_cannot_be_written_raises(tmp_path: Path) -> None:
     (tmp_path / "goals").write_text("in the way")
-    with pytest.raises(OSError):
-        GoalMemory(tmp_path / "goals" / "file", 30.0).save(GOALS, STAMP, True)
+    memory = GoalMemory(tmp_path / "goals" / "file", 30.0)
+    for use in (lambda: memory.save(GOALS, STAMP, True), lambda: memory.recall(STAMP, True)):
+        with pytest.raises(OSError, match="goals: given no folder, expected one of user"):
+            use()
+
+
+def test_goal_that_somebody_else_can_have_written_is_not_resumed(path: Path) -> None:
+    memory = GoalMemory(path, 30.0)
+    memory.save(GOALS, STAMP, True)
+    assert memory.recall(STAMP, True) is not None
+    path.parent.chmod(0o777)
+    with pytest.raises(OSError, match=r"given a folder that others can write, mode 777, expected"):
+        memory.recall(STAMP, True)

@@ -96,16 +96,16 @@ def test_values_become_occupied_from_the_threshold_on() -> None:
     [
         ({"resolution": None}, "given 'no resolution', expected a finite number"),
         ({"resolution": 0.0}, "given 'a resolution of 0 m', expected a positive number"),
-        ({"resolution": "fine"}, "given \"resolution 'fine'\", expected a finite number"),
-        ({"resolution": ".nan"}, "given 'resolution nan', expected a finite number"),
-        ({"origin": None}, "given 'origin None', expected [x, y, yaw]"),
+        ({"resolution": "fine"}, "given 'resolution fine', expected a finite number"),
+        ({"resolution": ".nan"}, "given 'resolution .nan', expected a finite number"),
+        ({"origin": None}, "given 'no origin', expected [x, y, yaw]"),
         ({"origin": [0, 0]}, "given 'origin [0, 0]', expected [x, y, yaw]"),
-        ({"origin": "[0, 0, .inf]"}, "given 'origin inf', expected a finite number"),
-        ({"mode": "scale"}, "given \"mode 'scale'\", expected trinary"),
+        ({"origin": "[0, 0, .inf]"}, "given 'origin .inf', expected a finite number"),
+        ({"mode": "cost"}, "given 'mode cost', expected trinary, scale or raw"),
         ({"free_thresh": 0.7}, "given 'free_thresh 0.7 and occupied_thresh 0.65', expected 0 <="),
-        ({"image": None}, "given 'image None', expected the name of a PGM or PNG file"),
-        ({"image": "none.pgm"}, "expected a PGM or PNG file"),
-        ({"image": "hall.yaml"}, "expected a PGM or PNG file"),
+        ({"image": None}, "given 'no image', expected the name of a PGM, PPM, PBM or PNG"),
+        ({"image": "none.pgm"}, "expected a PGM, PPM, PBM or PNG file"),
+        ({"image": "hall.yaml"}, "expected a PGM, PPM, PBM or PNG file"),
     ],
 )
 def test_wrong_entry_is_named(tmp_path, entries, told) -> None:
@@ -156,9 +156,9 @@ def test_map_of_another_kind_of_file_is_refused_at_once(tmp_path) -> None:
 
 def test_image_in_another_format_is_refused(tmp_path) -> None:
     pillow = pytest.importorskip("PIL.Image")
-    for name in ("hall.gif", "hall.ppm", "hall.tif", "hall.bmp"):
+    for name in ("hall.gif", "hall.jpg", "hall.tif", "hall.bmp"):
         pillow.fromarray(LEVELS).convert("RGB").save(tmp_path / name)
-        with pytest.raises(InvalidMapError, match="expected a PGM or PNG file"):
+        with pytest.raises(InvalidMapError, match="expected a PGM, PPM, PBM or PNG file"):
             read_map(written(tmp_path, image=name))
 
 

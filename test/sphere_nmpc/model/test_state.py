@@ -15,6 +15,7 @@ from sphere_nmpc.model.state import (
     nearer_sign,
     position_error,
     state_error,
+    upright_state,
 )
 
 ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
@@ -28,8 +29,10 @@ ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
         ([0, 0, 2, 0, 0, 0], "expected norm 1 .*, not norm 2"),
         ([np.nan, 0, 1, 0, 0, 0], "finite"),
         ([0, 0, 1, 0, np.nan, 0], "finite"),
-        ([0, 0, 0.989, 0, 0, 0], "norm 0.989"),
-        ([0, 0, 1.011, 0, 0, 0], "norm 1.011"),
+        ([0, 0, 0.979, 0, 0, 0], r"expected norm 1 within 0\.02, not norm 0\.979"),
+        ([0, 0, 1.021, 0, 0, 0], "not norm 1.021"),
+        ([0, 0, 0.5, 0, 0, 0], r"given \[0\.5, 0\.0, 0\.0, 0\.0\], expected norm 1 "),
+        ([0, 0, *[np.nan] * 4], "finite"),
         ([2e6, 0, 1, 0, 0, 0], r"position: given .* expected at most 1e\+06 m"),
         ([0, -1e300, 1, 0, 0, 0], "position"),
     ],
@@ -43,11 +46,18 @@ def test_invalid_state_is_refused_with_the_given_value(
         assert not are_states(np.array([values], dtype=float))[0]
 
 
-@pytest.mark.parametrize("norm", [0.991, 1.0, 1.009])
+@pytest.mark.parametrize("norm", [0.981, 1.0, 1.019])
 def test_quaternion_of_nearly_unit_norm_is_normalised(norm: float) -> None:
     given = [1.0, 2.0, 0.6 * norm, 0.0, -0.8 * norm, 0.0]
     np.testing.assert_allclose(as_state(given), [1.0, 2.0, 0.6, 0.0, -0.8, 0.0], atol=1e-14)
     assert are_states(np.array([given]))[0]
+
+
+@pytest.mark.parametrize("part", [0.7, 0.71, 0.707])
+def test_quarter_turn_in_two_digits_is_one(part: float) -> None:
+    np.testing.assert_allclose(
+        as_state([0.5, 0.0, part, 0.0, 0.0, part]), upright_state(0.5, 0.0, np.pi / 2), atol=1e-14
+    )
 
 
 def test_distances_do_not_depend_on_the_sign_of_either_quaternion() -> None:

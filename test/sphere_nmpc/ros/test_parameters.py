@@ -16,10 +16,12 @@ from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_nmpc.ros.parameters import Parameters
+from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 CLASSES = {
     "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
+    "recorder": RecorderNode,
 }
 
 
@@ -31,8 +33,11 @@ def controller(graph) -> ControllerNode:
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_node_declares_each_quantity_with_unit_range_and_description(graph, name) -> None:
+def test_node_declares_each_quantity_with_unit_range_and_description(
+    graph, name, tmp_path, monkeypatch
+) -> None:
     navigation_messages.provide()
+    monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     node = CLASSES[name]()
     graph.add(node)
     expected = {}

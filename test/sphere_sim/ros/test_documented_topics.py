@@ -32,6 +32,7 @@ from sphere_sim.ros.viewer.markers import MarkerNode
 ROOT = Path(__file__).parents[3]
 CLASSES = {
     "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
+    "recorder": RecorderNode,
 }
 SHARED = {"/clock", "/diagnostics"}
 """Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
@@ -63,8 +64,11 @@ def offered(node) -> set[tuple[str, str, str, str]]:
 
 @pytest.mark.parametrize("name", CLASSES)
 @pytest.mark.parametrize("graph", [["--ros-args", "-r", "__ns:=/second"]], indirect=True)
-def test_tables_agree_with_the_node_which_may_be_in_a_namespace(graph, name) -> None:
+def test_tables_agree_with_the_node_which_may_be_in_a_namespace(
+    graph, name, tmp_path, monkeypatch
+) -> None:
     navigation_messages.provide()
+    monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
     node = CLASSES[name]()
     graph.add(node)
     documented = {

@@ -26,6 +26,7 @@ from rosgraph_msgs.msg import Clock
 from standing import Standing
 
 from sphere_nmpc.model.state import Vector, upright_state
+from sphere_nmpc.own_folder import cache_folder
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
@@ -48,7 +49,8 @@ def pattern(words: str) -> re.Pattern[str]:
 
 
 @pytest.fixture(autouse=True)
-def network(monkeypatch) -> None:
+def network(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(graph_monitor, "network_addresses", frozenset)
     monkeypatch.setattr(graph_monitor, "reaches_other_machines", lambda: True)
 
@@ -165,6 +167,12 @@ def map_that_takes_long(graph) -> None:
     sender.publish(area)
 
 
+def cache_that_others_can_write(graph) -> None:
+    cache_folder().mkdir()
+    cache_folder().chmod(0o777)
+    controller(graph, goal_memory=30.0)
+
+
 def rate_beyond_the_machine(graph) -> None:
     robot(graph, time.time)
     node = controller(graph, control_rate=50.0)
@@ -223,6 +231,7 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     bunches_that_are_stamped_when_passed_on: ("controller", "not where bunches of them"),
     frames_without_the_sphere: ("controller", "pose left out"),
     map_that_takes_long: ("controller", "floor late"),
+    cache_that_others_can_write: ("controller", "goal not kept"),
     rate_beyond_the_machine: ("controller", "missed samples"),
     lockstep_without_controller: ("simulator", "time waits"),
     controller_without_lockstep: ("simulator", "does not run in lockstep"),

@@ -126,7 +126,7 @@ def test_map_adds_columns_to_the_table_and_the_summary(map_file, tmp_path, capsy
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (None, "No such file"),
+        (None, "no such file"),
         ("image: room.pgm\norigin: [0, 0, 0]\n", "no resolution"),
         ("image: none.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n", "none.pgm"),
     ],

@@ -69,7 +69,8 @@ class Robot:
     def start_controller(self) -> None:
         """Start the controller, which resumes the goals of one before."""
         self.controller = start(
-            self._folder, "controller", "--ros-args", "-p", "use_sim_time:=true"
+            self._folder, "controller", "--ros-args", "-p", "use_sim_time:=true",
+            "-p", "goal_memory:=30.0",
         )
 
     @property

@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Installations by pip and by colcon are complete."""
 
+import ast
+import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -195,3 +198,29 @@ def test_sources_carry_the_licence_header() -> None:
         if not path.read_text().removeprefix("#!/usr/bin/env python3\n").startswith(HEADER)
     ]
     assert not bare
+
+
+def described_constants(source: str) -> Iterator[tuple[int, str]]:
+    """Yield the line and the docstring of each constant and attribute that has one."""
+    for block in ast.walk(ast.parse(source)):
+        body = getattr(block, "body", None)
+        for one, after in itertools.pairwise(body if isinstance(body, list) else []):
+            if isinstance(one, ast.Assign | ast.AnnAssign) and isinstance(after, ast.Expr):
+                text = getattr(after.value, "value", None)
+                if isinstance(text, str):
+                    yield one.lineno, text.strip()
+
+
+def test_docstring_of_each_constant_reads_alone() -> None:
+    """It begins with a capital letter and ends with a full stop, not in the one after it."""
+    found = [
+        (f"{path.relative_to(ROOT)}:{line}: {text}", text)
+        for folder in SOURCES
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for line, text in described_constants(path.read_text())
+    ]
+    assert len(found) > 500
+    assert not [
+        place for place, text in found
+        if not text[0].isupper() or not text.endswith(".") or text.endswith("..")
+    ]

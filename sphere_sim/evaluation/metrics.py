@@ -14,7 +14,7 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
 LOOSELY_SETTLED = 5e-2
-"""The same for a run with noise, whose error does not stay below `SETTLED_ERROR`."""
+"""Error below which a run with noise counts as settled: it does not stay below `SETTLED_ERROR`."""
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,10 @@ _STEADY = 1e4
 _MANOEUVRE = 2.0
 """Time beyond that of steady rolling that a motion takes [s]."""
 _LEAST_MOMENTUM = 10.0
-"""Momentum [rad/s] below which its direction is no longer followed ..."""
+"""Momentum [rad/s] below which its direction is no longer followed."""
 _LEAST_DIRECTED = 0.5
-"""... nor beyond the angle of this cosine."""
+"""Cosine of the angle from the last direction of the momentum [-] beyond which it is no longer
+followed."""
 
 
 class HeldGoal:

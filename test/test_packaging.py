@@ -17,6 +17,7 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 
 from sphere_sim.cli import main as cli
@@ -24,9 +25,9 @@ from sphere_sim.cli import main as cli
 ROOT = Path(__file__).parents[1]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
 EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
-SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
+SHARED = ("config", "examples", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 NATIVE = "sphere_nmpc/solver/native"
-SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
+SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench", "examples")
 HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
 
 
@@ -173,6 +174,22 @@ def test_package_xml_agrees_with_setup() -> None:
     maintainer = package.find("maintainer")
     assert maintainer.attrib["email"] == installed["Maintainer-email"]
     assert package.findtext("export/build_type") == "ament_python"
+
+
+def test_citation_names_this_version_and_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    for key in ("version", "license"):
+        assert citation[key] == package.findtext(key)
+    # What version 1.2.0 of the format requires.
+    assert citation["cff-version"] == "1.2.0" and citation["message"] and citation["title"]
+    (paper,) = citation["references"]
+    for entry in (citation, paper):
+        assert entry["title"] and all(author["name"] for author in entry["authors"])
+    assert paper["type"] == "article"
+    assert " ".join(paper["title"].split()) in " ".join(
+        (ROOT / "README.md").read_text().replace("\n> ", " ").split()
+    )
 
 
 def test_core_requires_three_packages_only() -> None:

@@ -55,7 +55,7 @@ class RollTo:
     def plan(self, situation: Situation) -> Plan:
         """Return the plan from `situation.time` on, with the last one as a warm start."""
         durations = np.full(KNOTS, self._period)
-        times: Vector = situation.time + self._period * np.arange(KNOTS + 1)
+        times: Vector = situation.time + np.append(0.0, np.cumsum(durations))
         constants = situation.constants  # as estimated
 
         def speeds(scaled: Vector) -> Vector:

@@ -13,7 +13,9 @@ from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 
 NAME = "sphere_nmpc"
-SHARED = ("config", "config/maps", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
+SHARED = (
+    "config", "config/maps", "examples", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook",
+)
 VERBS = (
     "demo", "simulator", "controller", "navigator", "recorder", "goal", "viewer", "markers",
     "study", "benchmark", "report",

@@ -3,12 +3,18 @@
 """Settings of the controller, and the table of strategies."""
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, TypeVar
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.units import TABLE_1_UNITS, RobotUnits
 from sphere_nmpc.quantity import quantity, validate
+
+ENTRY_POINTS = "sphere_nmpc.strategies"
+"""Group of the entry points by which installed packages bring strategies of their own."""
+_METHODS = "plan", "change", "reset"
+"""Methods that each strategy has."""
 
 
 @dataclass(frozen=True)
@@ -22,15 +28,36 @@ class StrategyEntry:
     the settings of the controller and the parameters of the robot, and has the methods of
     `sphere_nmpc.strategy.contract.Strategy`."""
 
+    def load(self) -> Any:
+        """Return the class; `InvalidParameterError` if there is none, or it lacks a method."""
+        try:
+            found = EntryPoint("", self.path, ENTRY_POINTS).load()
+        except Exception as error:  # of a module of somebody else
+            cause = f"{type(error).__name__}: {error}"
+            raise InvalidParameterError(
+                "strategy", self.path, f"a class that can be imported ({cause})"
+            ) from error
+        if missing := [name for name in _METHODS if not hasattr(found, name)]:
+            raise InvalidParameterError(
+                "strategy", self.path,
+                f"a class with {', '.join(_METHODS)} (it lacks {', '.join(missing)})",
+            )
+        return found
 
+
+_SAMPLE_PERIOD = 0.25
+"""Sample period of a strategy of another package [s; for the robot of Table 1]."""
 STRATEGIES: dict[str, StrategyEntry] = {
+    own.name: StrategyEntry(_SAMPLE_PERIOD, own.value) for own in entry_points(group=ENTRY_POINTS)
+} | {
     "time_optimal": StrategyEntry(
         0.25, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy"
     ),
     "plan_keeping": StrategyEntry(0.5, "sphere_nmpc.strategy.plan_keeping:PlanKeepingStrategy"),
     "paper": StrategyEntry(0.5, "sphere_nmpc.strategy.paper:PaperStrategy"),
 }
-"""All strategies by name; an entry added here is a choice of the parameter ``strategy``."""
+"""All strategies by name; an entry added here is a choice of the parameter ``strategy``. The names
+of this package cannot be taken by others."""
 
 _SHORTEST = {"sample_period": 1e-2, "integration_step": 1e-3}
 """Least values of times that are given [s]."""

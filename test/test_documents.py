@@ -29,6 +29,7 @@ from documented_topics import types_of
 from launch_stand_in import LAUNCH, ROOT, started
 from parameter_tables import NODES, OF_ROBOT, PARTS
 
+from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
@@ -322,6 +323,12 @@ def test_wrong_command_is_refused(line, wrong) -> None:
     with pytest.raises(WrongCommandError) as caught:
         check(command)
     assert wrong in str(caught.value)
+
+
+def test_glossary_has_each_mode_of_the_status() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (.+?) \|", text.partition("## The status")[2], re.MULTILINE)
+    assert rows[1:] == [mode.value for mode in Mode]
 
 
 def anchors(document: Path) -> set[str]:

@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Installations by pip and by colcon are complete."""
 
+import ast
+import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 
 from sphere_sim.cli import main as cli
@@ -21,9 +25,9 @@ from sphere_sim.cli import main as cli
 ROOT = Path(__file__).parents[1]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
 EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
-SHARED = ("config", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
+SHARED = ("config", "examples", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook")
 NATIVE = "sphere_nmpc/solver/native"
-SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench")
+SOURCES = ("sphere_nmpc", "sphere_sim", "launch", "test", "bench", "examples")
 HEADER = "# Copyright 2026 sphere_nmpc contributors\n# SPDX-License-Identifier: Apache-2.0\n"
 
 
@@ -172,6 +176,22 @@ def test_package_xml_agrees_with_setup() -> None:
     assert package.findtext("export/build_type") == "ament_python"
 
 
+def test_citation_names_this_version_and_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    for key in ("version", "license"):
+        assert citation[key] == package.findtext(key)
+    # What version 1.2.0 of the format requires.
+    assert citation["cff-version"] == "1.2.0" and citation["message"] and citation["title"]
+    (paper,) = citation["references"]
+    for entry in (citation, paper):
+        assert entry["title"] and all(author["name"] for author in entry["authors"])
+    assert paper["type"] == "article"
+    assert " ".join(paper["title"].split()) in " ".join(
+        (ROOT / "README.md").read_text().replace("\n> ", " ").split()
+    )
+
+
 def test_core_requires_three_packages_only() -> None:
     requirements = map(Requirement, metadata.requires("sphere_nmpc"))
     core = {r.name for r in requirements if "extra" not in str(r.marker)}
@@ -217,3 +237,29 @@ def test_what_the_documents_write_is_ignored_by_git() -> None:
     }
     assert "out/" in written
     assert written - {"docs/"} <= set(ignored)
+
+
+def described_constants(source: str) -> Iterator[tuple[int, str]]:
+    """Yield the line and the docstring of each constant and attribute that has one."""
+    for block in ast.walk(ast.parse(source)):
+        body = getattr(block, "body", None)
+        for one, after in itertools.pairwise(body if isinstance(body, list) else []):
+            if isinstance(one, ast.Assign | ast.AnnAssign) and isinstance(after, ast.Expr):
+                text = getattr(after.value, "value", None)
+                if isinstance(text, str):
+                    yield one.lineno, text.strip()
+
+
+def test_docstring_of_each_constant_reads_alone() -> None:
+    """It begins with a capital letter and ends with a full stop, not in the one after it."""
+    found = [
+        (f"{path.relative_to(ROOT)}:{line}: {text}", text)
+        for folder in SOURCES
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for line, text in described_constants(path.read_text())
+    ]
+    assert len(found) > 500
+    assert not [
+        place for place, text in found
+        if not text[0].isupper() or not text.endswith(".") or text.endswith("..")
+    ]

@@ -238,9 +238,9 @@ class Controller:
         before, settings = self._settings, settings.of(self._robot)
         self._settings = settings
         if (settings.strategy, settings.period) == (before.strategy, before.period):
-            self._strategy.change(settings)
+            self._call_strategy(lambda: self._strategy.change(settings))
         else:
-            self._strategy = self._make_strategy()
+            self._renew_strategy()
         self._estimator.change(settings)
 
     def observe(self, time: float, state: Vector) -> bool:
@@ -507,12 +507,22 @@ class Controller:
             return FirstOrderHold.constant(time, np.zeros(INPUT_SIZE))
 
     def _reset_strategy(self) -> None:
+        self._call_strategy(lambda: self._strategy.reset())
+
+    def _call_strategy(self, call: Callable[[], object]) -> None:
+        """Call the strategy; where that fails, a new one takes its place, without what it kept."""
         try:
-            self._strategy.reset()
+            call()
         except Exception as error:
-            # Nothing that it kept is needed after a reset: a new one takes its place.
             self._record(error)
+            self._renew_strategy()
+
+    def _renew_strategy(self) -> None:
+        """Put a new strategy in force; where it cannot be made, the one before stays."""
+        try:
             self._strategy = self._make_strategy()
+        except Exception as error:
+            self._record(error)
 
     def _begin_anew(self) -> None:
         """Forget the plan and where the sphere was, as the poses until now lead nowhere."""

@@ -35,10 +35,10 @@ _KEPT = 256
 _LONGEST_WINDOW = 0.3
 """Largest commitment window [s]: later commands count as lost."""
 _NEGLIGIBLE = 0.025
-"""Delay of a command up to which it counts as in time [s], or if that is longer ..."""
+"""Delay of a command up to which it counts as in time [s]."""
 _SPACINGS = 1.25
-"""... this many times the spacing of the measurements: a clock that is a topic has the same
-spacing, and commands are late by that alone."""
+"""Delay up to which a command also counts as in time [spacings of the measurements]: a clock that
+is a topic has the same spacing, and commands are late by that alone."""
 _GAPS = 8
 """Newest measurements from which the spacing is taken."""
 _SHRINKING = 0.99

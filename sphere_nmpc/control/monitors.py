@@ -30,9 +30,11 @@ from sphere_nmpc.strategy.plan import PlanStatus
 _LEAVING = 2.0
 """Relative error above which the goal counts as left: hysteresis against noise."""
 _PERIODS = 6.0
-"""Time without progress after which it is missing [sample periods] ..."""
+"""Time without progress after which it is missing [sample periods], unless that is shorter than
+`_SHORTEST`."""
 _SHORTEST = 5.0
-"""... but at least [s]: on a busy machine a search from rest takes seconds."""
+"""Shortest time after which progress is missing [s]: on a busy machine a search from rest takes
+seconds."""
 _STANDING = 2e-3
 """Share of the largest speed [-] up to which a sphere stands, in the mean over that time."""
 _FALLEN = 0.95

@@ -26,7 +26,7 @@ One may be late by up to the rest of a period before it counts for the next inst
 PLANNING_SHARE = 0.4
 """Share of the control period that planning may take; the rest is for other processes."""
 _LEAST_SHARE = 0.1
-"""The same at a late tick, at the least."""
+"""Share of the control period that planning may take at any tick, however late it is."""
 _MOST_LEAD = 0.5
 """Largest share of the control period by which a plan is made ahead, for planning and the
 transport of its command."""

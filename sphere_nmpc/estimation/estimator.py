@@ -30,9 +30,9 @@ _KEY = "estimator"
 _SAME = 1e-9
 """Time [s] below which two are the same."""
 SHORT_GAP = 0.1
-"""Share of the mean spacing of poses [-] below which two are of a bunch ..."""
+"""Share of the mean spacing of poses [-] below which two are of a bunch."""
 _FEWEST = 3
-"""... and how many poses that is taken from at least."""
+"""Number of poses from which on their mean spacing is taken."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 

@@ -42,9 +42,9 @@ from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 _ITERATIONS = 6
 """Gauss-Newton iterations for each fit at most."""
 _STILL_LINEAR = 3e-3
-"""Change, in the scale of the unknowns, up to which a linearisation is kept ..."""
+"""Change, in the scale of the unknowns, up to which a linearisation is kept."""
 _CONVERGED = 3e-4
-"""... and at which the iteration ends."""
+"""Step, in the scale of the unknowns, below which the iteration ends."""
 _SAME_SCALE = 0.05
 """Relative accuracy of the noise's scale."""
 _WEAKER = 0.8

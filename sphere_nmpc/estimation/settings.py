@@ -14,9 +14,9 @@ class EstimatorSettings:
 
     # Poses and intervals
     spacing: float = 0.2
-    """Least time between two knots, which are poses [s] ..."""
+    """Least time between two knots, which are poses [s]."""
     first_spacing: float = 0.1
-    """... and as long as the constants are not known, from exact poses."""
+    """Least time between two knots of exact poses as long as the constants are not known [s]."""
     known: float = 5e-3
     """Relative standard deviation below which a constant is known [-]."""
     longest: float = 2.0
@@ -55,9 +55,9 @@ class EstimatorSettings:
     """Standard deviation of the share between intervals [-]: a limit of torque is one of
     acceleration that depends on the motion of the shell."""
     momentum_walk: float = 0.05
-    """Random walk of a momentum that is not zero [rad/s per sqrt(s)] ..."""
+    """Random walk of a momentum that is not zero [rad/s per sqrt(s)]."""
     slope_walk: float = 0.1
-    """... and of the slope below it [rad/s^2 per sqrt(s)]."""
+    """Random walk of the slope below a momentum that is not zero [rad/s^2 per sqrt(s)]."""
 
     # Events
     push: float = 50.0
@@ -104,4 +104,4 @@ class EstimatorSettings:
 
 
 TABLE_1_NUMBERS = EstimatorSettings()
-"""Those of the robot of Table 1."""
+"""Numbers of the estimator for the robot of Table 1."""

@@ -24,9 +24,9 @@ from sphere_nmpc.model.state import Vector
 
 _CELL = 1.0 / 24.0
 """Largest side of a cell [Rs] to which a map is refined: in the middle of it the bound is below
-the distance by up to 0.2 of the side along a wall, and by 0.7 near a corner ..."""
+the distance by up to 0.2 of the side along a wall, and by 0.7 near a corner."""
 _MOST_REFINED = 4_000_000
-"""... as long as there are no more cells."""
+"""Cells of a refined map at most; the side is larger where there would be more."""
 _REACH = 4.0
 """Distance up to which it is told exactly [needed one]."""
 _CACHED = 16_384

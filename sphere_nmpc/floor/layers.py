@@ -16,15 +16,15 @@ MOST_AREAS = 1000
 """Areas to keep out of; on a new map it takes about a second to enter all of them."""
 _AROUND = 84.0
 """Free floor around areas to keep out of, where neither a map nor an edge says how far it goes
-[Rs]: 25 m for the robot of the paper ..."""
+[Rs]: 25 m for the robot of the paper."""
 _ROUNDED = 17.0
-"""... and what its bounds are rounded to [Rs], which an area that moves mostly leaves as they
-are."""
+"""What the bounds of the free floor around areas are rounded to [Rs], so that an area that moves
+mostly leaves them as they are."""
 _MOST_CELLS = 4_000_000
-"""Cells of a floor without a map ..."""
+"""Cells of a floor without a map at most."""
 _COARSEST = 0.25
-"""... and their largest side [Rs]: in larger ones the bounds of the distances are too far below
-them for a sphere to pass between obstacles."""
+"""Largest side of a cell of a floor without a map [Rs]: in larger ones the bounds of the distances
+are too far below them for a sphere to pass between obstacles."""
 
 
 @dataclass

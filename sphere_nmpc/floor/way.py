@@ -21,18 +21,20 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.library import library
 
 _SPACING = 1.0 / 12.0
-"""Spacing of the nodes [Rs], unless there would be more than ..."""
+"""Spacing of the nodes [Rs], unless there would be more than `_MOST_NODES`."""
 _MOST_NODES = 1_000_000
-"""... so many."""
+"""Nodes on a floor at most."""
 _ROOM = 0.5
-"""Clearance beyond the needed one [Rs] below which a unit of the way costs more ..."""
+"""Clearance beyond the needed one [Rs] below which a unit of the way costs more."""
 _NARROW = 1.0
-"""... by up to this share: the sphere needs longer there."""
+"""Share by which a unit of the way costs more where there is no more than the needed clearance:
+the sphere needs longer there."""
 _SURE = 0.015
-"""Clearance beyond the needed one [Rs] without which it is not sure that the sphere gets through
-..."""
+"""Clearance beyond the needed one [Rs] without which it is not sure that the sphere gets
+through."""
 _UNSURE = 40.0
-"""... and cost there: another way is taken, unless it is that much longer."""
+"""Cost of a unit of the way where it is not sure that the sphere gets through [-]: another way is
+taken, unless it is that much longer."""
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1))
 """Half of the neighbours of a node; the others are opposite."""
 _KEPT = 2

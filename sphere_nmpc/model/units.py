@@ -76,4 +76,4 @@ class RobotUnits:
 
 
 TABLE_1_UNITS = RobotUnits()
-"""Those of the robot of Table 1."""
+"""Units of the robot of Table 1."""

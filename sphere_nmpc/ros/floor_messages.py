@@ -31,9 +31,9 @@ unknown ones are free."""
 
 
 LARGEST_MAP = MOST_CELLS + 1000, f"{MOST_CELLS} cells"
-"""Size of the largest map [bytes], header included, and what that is enough for."""
+"""Size of the largest map [bytes], header included, and what that suffices for."""
 LARGEST_KEEPOUT = 12 * MOST_CORNERS + 1000, f"{MOST_CORNERS} corners"
-"""The same of an area to keep out of."""
+"""Size of the largest area to keep out of [bytes], header included, and what that suffices for."""
 
 
 def map_of_message(raw: bytes, frame: str) -> CellsOf:

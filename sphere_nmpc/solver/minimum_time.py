@@ -138,9 +138,9 @@ class _Limits:
     lower: Vector
     upper: Vector
     first: Vector
-    """u_0 / U."""
+    """Scaled input in force, u_0 / U, shape (2,)."""
     reach: Vector
-    """a h_m / U for each of the 2 N knots."""
+    """Change that is allowed for each of the 2 N scaled knots at a factor of 1, a h_m / U."""
 
     @classmethod
     def of(cls, problem: HoldProblem) -> "_Limits":

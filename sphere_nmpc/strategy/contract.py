@@ -3,7 +3,6 @@
 """Contract between a strategy and the control loop, and strategies by name."""
 
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.floor.floor import Floor
@@ -136,6 +135,5 @@ def make_strategy(settings: ControllerSettings, robot: RobotParameters) -> Strat
 
     `robot` has the parameters of the robot and the limits of its drives.
     """
-    module, _, name = STRATEGIES[settings.strategy].path.partition(":")
-    strategy: Strategy = getattr(import_module(module), name)(settings, robot)
+    strategy: Strategy = STRATEGIES[settings.strategy].load()(settings, robot)
     return strategy

@@ -37,7 +37,7 @@ MOMENTUM_TOLERANCE = 0.05
 """Component along the body's z axis [rad/s] that is left: it turns the sphere by 1e-2 in some
 seconds."""
 TORQUE_TOLERANCE = 0.05
-"""The same of the momentum's rate [rad/s^2]."""
+"""Component of the momentum's rate along the body's z axis [rad/s^2] that is left."""
 _TOLERANCES = np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
 _LEAST_TOLD = 1e-2
 """Change of the orientation [rad] that is told; one below it is half the error at which a goal

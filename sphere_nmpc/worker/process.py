@@ -22,7 +22,7 @@ _PATIENCE = 3.0
 """Time without a result after which a worker that has a task is replaced [s]: a search takes a
 tenth of it at most. Processor time where it waits for processor or disk, otherwise wall time."""
 _FIRST_PATIENCE = 20.0
-"""The same for the first result of a process [s], which has to be loaded first."""
+"""Time without its first result after which a worker is replaced [s]: it has to be loaded."""
 _RESTART_EVERY = 1.0
 """Shortest wall time between two starts of the process [s]."""
 _LONGEST_END = 1.0

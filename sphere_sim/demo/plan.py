@@ -42,8 +42,9 @@ class DemoPlan:
     """Folder of all results."""
     case: int = 1
     start: Sequence[float] | None = None
-    """State in place of that of the case, as `goal`."""
+    """State in place of the start of the case, shape (6,)."""
     goal: Sequence[float] | None = None
+    """State in place of the goal of the case, shape (6,)."""
     real_time_factor: float = 1.0
     """Simulated over wall time; 0 is lockstep, as fast as the nodes can."""
     lockstep: bool = False

@@ -15,7 +15,7 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
 LOOSELY_SETTLED = 5e-2
-"""The same for a run with noise, whose error does not stay below `SETTLED_ERROR`."""
+"""Error below which a run with noise counts as settled: it does not stay below `SETTLED_ERROR`."""
 ERRORS = ("error", "position_error_m", "angle_error_rad")
 """Errors to a goal: ||x - x_d|| [mixed units], distance [m] and angle [rad]."""
 

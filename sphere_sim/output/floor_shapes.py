@@ -14,9 +14,9 @@ from sphere_nmpc.floor.rectangles import rectangles
 from sphere_nmpc.model.state import Vector
 
 _MOST_CELLS = 1000
-"""Cells along the longer side of a grid that is drawn; others are drawn in coarser cells ..."""
+"""Cells along the longer side of a grid that is drawn; larger ones are drawn in coarser cells."""
 _MOST_RECTANGLES = 4000
-"""... as are those that need more rectangles."""
+"""Rectangles of a grid that is drawn; one that needs more is drawn in coarser cells."""
 
 
 def bordered(grid: Grid) -> Grid:

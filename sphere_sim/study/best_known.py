@@ -53,11 +53,11 @@ SEARCHES = 2
 EFFORT = 400_000
 """Work of each search by default: solver iterations times intervals, about a microsecond each."""
 _TUNING = TimeOptimalSettings()
-"""Tuning of the searches: that of the strategy ..."""
+"""Tuning of the searches: that of the strategy."""
 _FINER = 2
-"""... and factor on the number of knots on which the best motion is solved again."""
+"""Factor on the number of knots on which the best motion is solved again."""
 _ITERATIONS = 200
-"""Cap on the iterations of that."""
+"""Cap on the iterations of the final solve."""
 _STEP = 0.0625
 """Longest integration step of the final motion [s]."""
 _MOMENTUM_STEPS = 16

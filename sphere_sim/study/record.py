@@ -24,9 +24,9 @@ RESULT_COLUMNS = (
 )
 """Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
 PUSH_RESULT_COLUMNS = ("recover_s",)
-"""Further ones of a study with pushes ..."""
+"""Further columns of runs.csv of a study with pushes."""
 FLOOR_RESULT_COLUMNS = ("contacts", "least_clearance_m", "reason")
-"""... and of one on a floor with walls; ``reason`` is why a goal was given up."""
+"""Further columns of runs.csv of a study on a floor; ``reason`` is why a goal was given up."""
 
 
 @dataclass(frozen=True, eq=False)

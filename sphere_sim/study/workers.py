@@ -25,9 +25,9 @@ Task = tuple[Any, tuple[Any, ...]]
 """A name of the task, and the arguments of its call."""
 
 _CONNECT_TIMEOUT = 15.0
-"""How long to wait for the scheduler [s] ..."""
+"""How long to wait for the scheduler [s]."""
 _TOLD_AFTER = 2.0
-"""... and after how long the user is told of it."""
+"""Wait for the scheduler after which the user is told of it [s]."""
 _AHEAD = 4
 """Tasks submitted for each thread of the cluster, so that none is idle."""
 

@@ -34,7 +34,7 @@ from sphere_nmpc.control.schedule import (
     Schedule,
     TimedPose,
 )
-from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.goal import Itinerary
@@ -357,9 +357,13 @@ class ControllerNode(RunnableNode):
             self._set_timer()
 
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse a strategy that the schedule cannot change to while running."""
+        """Refuse a strategy that cannot be loaded, or that the schedule cannot change to."""
         for name in (p.value for p in parameters if p.name == "strategy"):
             if name in STRATEGIES:  # another name is refused by its declaration
+                try:
+                    STRATEGIES[name].load()
+                except InvalidParameterError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
                 reason = self._schedule.refusal(replace(self._settings, strategy=name))
                 if reason is not None:
                     return SetParametersResult(successful=False, reason=reason)

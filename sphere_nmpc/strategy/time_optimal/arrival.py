@@ -55,7 +55,7 @@ _LEAST_GAIN = 1e-4
 _FIRST_PROXIMAL = 1.0
 """First proximal weight of a minimum-time problem [of the unit of time]."""
 _KEEPING = 100.0
-"""The same where a guess is to change little."""
+"""First proximal weight where a guess is to change little [of the unit of time]."""
 _CALL_WORK = 60
 """Work of a call apart from its iterations."""
 _STEP_WORK = 6

@@ -31,9 +31,10 @@ _STEADY = 1e4
 """Distance of an intermediate goal to which the sphere rolls steadily [m]: the direction to one at
 100 km would have to be planned to more digits than the solver attains."""
 _LEAST_MOMENTUM = 10.0
-"""Momentum [rad/s] below which its direction is no longer followed ..."""
+"""Momentum [rad/s] below which its direction is no longer followed."""
 _LEAST_DIRECTED = 0.5
-"""... nor beyond the angle of this cosine."""
+"""Cosine of the angle from the last direction of the momentum [-] beyond which it is no longer
+followed."""
 
 
 class HeldGoal:

@@ -26,9 +26,9 @@ from sphere_nmpc.strategy.time_optimal.straight import straight_arrival
 _ROOM = 0.4, 0.15, 0.03, 0.0
 """Room beside a straight way that is looked for, in this order [Rs]: motions are not straight."""
 _FARTHEST, _NEAREST = 14.0, 0.15
-"""Distances of a goal on the way that is not the last one [Rs] ..."""
+"""Distances of a goal on the way that is not the last one [Rs]."""
 _CANDIDATES = 24
-"""... and number of places among which it is chosen."""
+"""Number of places among which a goal on the way is chosen."""
 _STRAIGHT = 10.0, 5.0, 3.0, 1.5, 0.75, 0.3, 0.1
 """Distances along the way [Rs] of places to which the sphere may roll straight."""
 _REST_COSTS = 1.5

@@ -37,9 +37,9 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
 )
 
 _COMPARED: Vector = np.arange(1, 16) / 16.0
-"""Times at which two motions are compared [of their durations] ..."""
+"""Times at which two motions are compared [of their durations]."""
 _ALIKE = 0.2
-"""... and mean difference of their speeds [of the largest] up to which they are alike."""
+"""Mean difference of the speeds of two motions [of the largest] up to which they are alike."""
 _FIRST_TURNS, _GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
 _FIRST_SHARE = 0.5

@@ -32,10 +32,10 @@ they count as one; the same where V is nearly singular."""
 _SLOWEST = 100.0
 """Largest rotor speed for the centre's speed, over that of rolling without a spin."""
 _SPACINGS = 0.5, 0.25, 0.12, 0.06
-"""Spacing of the knots [of the fine ones of a plan], less if, as the speeds between them are
-linear, ..."""
+"""Spacings of the knots [of the fine ones of a plan], of which the first one is taken with which
+the motion ends within `_MISSED`: the speeds between knots are linear."""
 _MISSED = 0.007
-"""... the motion misses its end by this [Rs]."""
+"""Distance from its end [Rs] within which a motion has to arrive."""
 _LEVEL = 0.05
 """Tilt of the body's z axis from the vertical [-] below which all lines are nearly such ones."""
 _REGULAR, _SINGULAR, _EVEN = 1e-3, 0.02, 0.2

@@ -1,12 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Time-optimal control with a shrinking horizon: plan once, arrive on time, then hold.
+"""Time-optimal control with a shrinking horizon: a plan is followed to its end, then held.
 
-At a new goal the earliest arrival that a search finds is planned. At each later sample the rest
-of the plan is solved again from the measured state, with one interval less; if it can no longer
-reach the goal in time, the arrival is delayed a little. At the goal the rotors rest; small errors
-are corrected by rolling, larger ones by a new plan. ``docs/strategy.md`` has the stability
-argument.
+At a new goal the earliest arrival that a search finds is planned. At each later sample what is
+left of the plan is solved again from the measured state; the duration is a variable, so that a
+disturbance changes the time of the arrival. Once a sample period a search looks for an earlier
+one. At the goal the rotors rest; small errors are corrected by rolling, larger ones by a new plan.
+``docs/strategy.md`` has the stability argument.
 
 With momentum the sphere rests where the rotors hold it. A goal at which they cannot is replaced by
 the nearest one; momentum of a sphere out of balance is unloaded before the rotors saturate; and

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The control loop without its transport, in regular operation and when something fails."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from sphere_nmpc.model.disturbance import slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, as_state
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.evaluation.closed_loop import run_closed_loop
@@ -257,6 +258,32 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
     assert sample(controller, time + 0.1) is Mode.TRACKING
 
 
+def test_strategy_that_fails_in_every_call_and_cannot_be_made_again_does_not_stop_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Broken:
+        def __init__(self, *arguments: object) -> None:
+            if Broken.made:
+                raise RuntimeError("no second one")
+            Broken.made = True
+
+        def fail(self, *arguments: object) -> None:
+            raise RuntimeError("broken")
+
+        made = False
+        plan = change = reset = fail
+
+    entry = StrategyEntry(0.25, "a module:Broken")
+    monkeypatch.setattr(StrategyEntry, "load", lambda self: Broken)
+    monkeypatch.setitem(STRATEGIES, "broken", entry)
+    settings = ControllerSettings(strategy="broken")
+    controller = Controller(settings, ROBOT)
+    assert controller.set_goal(ORIGIN)
+    assert controller.observe(0.0, START)
+    assert sample(controller, 0.0) is Mode.FALLBACK
+    controller.change(replace(settings, goal_tolerance=0.02))
+    assert controller.failures >= 4 and controller.last_failure == "RuntimeError: no second one"
+    assert controller.cancel()
 
 
 def test_estimated_slope_saturates_the_rotors_and_is_reported() -> None:

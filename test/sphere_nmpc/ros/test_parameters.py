@@ -16,6 +16,7 @@ from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_nmpc.ros.parameters import Parameters
+from sphere_nmpc.settings import STRATEGIES, StrategyEntry
 from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
 
@@ -76,6 +77,15 @@ def test_wrong_change_is_refused_with_the_reason(controller, name, value, words)
     assert not result.successful
     assert words in result.reason
     assert controller.get_parameter(name).value == before
+
+
+def test_change_to_a_strategy_that_cannot_be_loaded_leaves_the_one_in_force(
+    controller, monkeypatch
+) -> None:
+    monkeypatch.setitem(STRATEGIES, "lost", StrategyEntry(0.25, "nowhere:Strategy"))
+    result = controller.set_parameters([Parameter("strategy", value="lost")])[0]
+    assert not result.successful and "No module named 'nowhere'" in result.reason
+    assert controller.get_parameter("strategy").value == "time_optimal"
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import without_momentum
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.strategy.contract import Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.scenario.scenarios import PAPER_CASES
@@ -45,6 +46,22 @@ def test_plan_that_is_followed_survives_a_change(name: str) -> None:
     # A strategy without that plan finds another one.
     fresh = make_strategy(settings, ROBOT).plan(second)
     assert not np.array_equal(fresh.hold.speeds, expected.hold.speeds)
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("nowhere:Strategy", "imported (ModuleNotFoundError: No module named 'nowhere')"),
+        ("sphere_nmpc.settings:Missing", "imported (AttributeError: "),
+        ("no path", "imported ("),
+        ("sphere_nmpc.settings:StrategyEntry", "(it lacks plan, change, reset)"),
+        ("sphere_nmpc.settings", "(it lacks plan, change, reset)"),
+    ],
+)
+def test_strategy_that_is_none_is_named_with_what_is_missing(path: str, words: str) -> None:
+    with pytest.raises(InvalidParameterError, match="strategy: given '") as caught:
+        StrategyEntry(0.25, path).load()
+    assert words in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["plan_keeping", "paper"])

@@ -1,0 +1,99 @@
+#!/usr/bin/env python3
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A strategy of one's own: a receding horizon by SciPy that rolls to a position.
+
+``python examples/own_strategy.py`` runs it in the closed loop without ROS. An installed package
+brings it to nodes, launch file and commands by a line in its ``setup.py``::
+
+    entry_points={"sphere_nmpc.strategies": ["roll_to = own_strategy:RollTo"]}
+"""
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, Vector, make_state
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
+from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+KNOTS = 8
+"""Rotor speeds that are planned ahead, a sample period apart."""
+TERMINAL_WEIGHT, INPUT_WEIGHT = 10.0, 0.1
+"""Weights of the last position and of the speeds, over their limit; other positions have 1."""
+EVALUATIONS = 15
+"""Cap on the iterations of a sample."""
+
+
+class RollTo:
+    """Strategy that rolls to the position of the goal; the orientation is what results.
+
+    The methods are those of `sphere_nmpc.strategy.contract.Strategy`.
+    """
+
+    def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
+        self._limit = robot.max_rotor_speed
+        self.change(settings)
+        self.reset()
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Use other settings from the next plan on."""
+        self._period = settings.period
+
+    def reset(self) -> None:
+        """Forget the last plan."""
+        self._last: FirstOrderHold | None = None
+
+    def plan(self, situation: Situation) -> Plan:
+        """Return the plan from `situation.time` on, with the last one as a warm start."""
+        durations = np.full(KNOTS, self._period)
+        times: Vector = situation.time + np.append(0.0, np.cumsum(durations))
+        constants = situation.constants  # as estimated
+
+        def speeds(scaled: Vector) -> Vector:
+            planned = self._limit * scaled.reshape(KNOTS, 2)
+            return np.vstack((situation.input_in_force, planned))
+
+        def states(scaled: Vector) -> Vector:
+            return roll_out(situation.state, speeds(scaled), durations, constants.as_array())
+
+        def residuals(scaled: Vector) -> Vector:
+            away = states(scaled)[1:, POSITION] - situation.goal[POSITION]
+            away[-1] *= TERMINAL_WEIGHT
+            return np.append(away / constants.shell_radius, INPUT_WEIGHT * scaled)
+
+        guess: Vector = np.full(2 * KNOTS, 0.1)
+        if self._last is not None:
+            guess = np.concatenate([self._last.at(t) for t in times[1:]]) / self._limit
+        inside = np.clip(guess, -0.999, 0.999)
+        found = least_squares(residuals, inside, bounds=(-1.0, 1.0), max_nfev=EVALUATIONS)
+        self._last = FirstOrderHold(times, speeds(found.x))
+        # The loop limits the accelerations, ends the plan at rest, and certifies it on a map.
+        return Plan(PlanStatus.SOLVED, self._last, states(found.x), cost=found.cost)
+
+
+def main() -> None:
+    """Run the paper's first case to its position, and print how it went."""
+    STRATEGIES["roll_to"] = StrategyEntry(sample_period=0.25, path=f"{__name__}:RollTo")
+    goal = Goal(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), Orientation.ANY)
+    robot = RobotParameters()
+    for strategy in ("roll_to", "time_optimal"):
+        settings = ControllerSettings(strategy=strategy)
+        simulator = Simulator(SimulatorSettings(), robot)
+        controller = Controller(settings, robot)
+        run = run_closed_loop(simulator, controller, goal, 10.0, settings.control_period)
+        away = np.linalg.norm(run.states[:, POSITION], axis=1)
+        arrived = run.times[1:][away[:-1] > 0.01][-1]
+        print(f"{strategy:12}  within 1 cm after {arrived:.2f} s, {away[-1]:.0e} m off at the end")
+
+
+if __name__ == "__main__":
+    main()

@@ -34,8 +34,9 @@ def finish(navigator: BasicNavigator, task: str, expected: TaskResult) -> bool:
     while not navigator.isTaskComplete():
         pass  # it waits for 0.1 s each time
     found = navigator.getResult()
-    result = navigator.result_future.result().result
-    print(f"{task}: {found.name.lower()} {result.error_msg}".rstrip(), flush=True)
+    # Earlier versions of Nav2 have no message.
+    reason = getattr(navigator.result_future.result().result, "error_msg", "")
+    print(f"{task}: {found.name.lower()} {reason}".rstrip(), flush=True)
     return found is expected
 
 

@@ -31,7 +31,7 @@ def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None
     refused = None if floor is None else refusal(situation, floor)
     if floor is None or refused is None:
         return None
-    lasting = refused if floor.lasting is floor else refusal(situation, floor.lasting)
+    lasting = refused if floor.lasting is None else refusal(situation, floor.lasting)
     plan = stop(situation, robot, "no way to the goal", refused[1])
     return replace(plan, unreachable=None if lasting is None else lasting[0])
 

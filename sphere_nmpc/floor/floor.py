@@ -81,11 +81,11 @@ class Floor:
         """Least distance of the sphere's centre from what is occupied [m]."""
         return self.radius + self.clearance
 
-    @property
-    def lasting(self) -> "Floor":
-        """The floor without areas to keep out of, which may move; itself where there are none."""
+    @cached_property
+    def lasting(self) -> "Floor | None":
+        """The floor without areas to keep out of, which may move; None where there are none."""
         grid = self.grid.lasting
-        return self if grid is None else Floor(grid, self.radius, self.clearance)
+        return None if grid is None else Floor(grid, self.radius, self.clearance)
 
     @cached_property
     def fine(self) -> Grid:

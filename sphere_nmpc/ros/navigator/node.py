@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from action_msgs.msg import GoalStatusArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from lifecycle_msgs.msg import State
@@ -199,7 +200,7 @@ class NavigatorNode(RunnableNode):
 
     def _navigators(self) -> list[str]:
         """Return the names of the navigators in this namespace, this one among them."""
-        return self._graph.publishers(self.resolve_topic_name(_OFFERED))
+        return self._graph.publishers(self.resolve_topic_name(_OFFERED), GoalStatusArray)
 
     def _look(self) -> None:
         effect = "goals are rejected meanwhile"

@@ -182,7 +182,7 @@ class TimeOptimalStrategy:
         plan = self._stop(situation)
         floor = situation.floor
         if self._no_way:
-            may_move = floor is None or floor.lasting is not floor
+            may_move = floor is None or floor.lasting is not None
             return dataclasses.replace(
                 plan, given_up=self._no_way, message="no way to the goal",
                 unreachable=None if may_move else Unreachable.NO_WAY,

@@ -65,7 +65,7 @@ def test_launch_starts_both_nodes_with_the_robot_of_ones_own(monkeypatch) -> Non
     monkeypatch.chdir(ROOT)
     given = [action["parameters"] for action in launched(f"params_file:={OWN_ROBOT[1]}")
              if action.named.get("executable") in ("simulator", "controller")]
-    assert [parameters[0] for parameters in given] == [OWN_ROBOT[1]] * 2
+    assert [parameters[0] for parameters in given] == [str(ROOT / OWN_ROBOT[1])] * 2
     module = "sphere_sim.ros.simulator.robot_description"
     model = subprocess.run(
         module_command(module, "--ros-args", *OWN_ROBOT), stdout=subprocess.PIPE, check=True

@@ -75,7 +75,7 @@ def test_killed_recording_of_a_run_can_be_reported(graph, tmp_path, capsys, monk
     assert found >= committed(bag)["message_count"] > 0
     recorded = read_run(bag)
     assert recorded.times[-1] > 2.0, "the poses begin after the clock"
-    assert recorded.goals.size and recorded.plans and recorded.solves.times.size
+    assert recorded.goals and recorded.plans and recorded.solves.times.size
     monkeypatch.setattr(report_files, "FIGURES", {})
     assert command(["report", str(bag), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()

@@ -4,6 +4,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -16,8 +17,8 @@ _EXIT_CODE = 128
 """Offset of a shell's exit code from the number of the signal that ended a program."""
 _AGAIN = 0.02
 """Delay before a signal is repeated [s]."""
-_LOSSY = "casadi."
-"""Prefix of modules in which an exception of a signal handler is lost."""
+_LOSSY = re.compile(r"casadi\.|\w+\.(msg|srv|action)\._")
+"""Beginning of the names of modules in which an exception of a signal handler is lost."""
 _DEPTH = 3
 """Number of frames that are searched for such a module."""
 _REMAINS = "remains_after_interrupt"
@@ -29,9 +30,10 @@ class Signals:
     While modules are loaded a signal ends the process immediately: nothing has been started yet,
     and a module may replace a KeyboardInterrupt during its import by another exception. After that
     a signal raises KeyboardInterrupt. Where that would be lost, the signal is repeated a little
-    later: in a finaliser, which cannot raise, and in CasADi's bindings, which replace an exception
-    while they convert arguments. A signal that is ignored from the start, as in the background of
-    a shell script or by ``nohup``, stays ignored.
+    later: in a finaliser, which cannot raise, in CasADi's bindings, which replace an exception
+    while they convert arguments, and in the constructors of messages, as those who deserialise
+    them make it one about the message. A signal that is ignored from the start, as in the
+    background of a shell script or by ``nohup``, stays ignored.
     """
 
     def __init__(self) -> None:
@@ -83,7 +85,7 @@ def _loses_exceptions(frame: FrameType | None) -> bool:
     for _ in range(_DEPTH):
         if frame is None:
             return False
-        if str(frame.f_globals.get("__name__", "")).startswith(_LOSSY):
+        if _LOSSY.match(str(frame.f_globals.get("__name__", ""))):
             return True
         frame = frame.f_back
     return False

@@ -127,27 +127,45 @@ def test_signal_in_a_finaliser_is_repeated(roll) -> None:
 COUNTING = """
 import signal
 import time
-import numpy as np
-from sphere_nmpc.model.integrator import step_function
+{prepared}
 
 def main(argv):
     end = time.monotonic() + 600.0
-    state, speeds = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.ones(2)
     while time.monotonic() < end:
         # The next signal is sent once this line is read; it must not arrive before the `try`.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})
         print("up", flush=True)
         try:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {{signal.SIGINT}})
             while time.monotonic() < end:
-                step_function()(state, speeds, speeds, 0.1, np.array([0.145, 0.5, 0.1, 0.2]))
+                {call}
         except KeyboardInterrupt:
             pass
 """
 
 
-def test_no_signal_is_lost_in_the_bindings_of_casadi(roll) -> None:
-    process = roll(COUNTING)
+STEPS = """
+import numpy as np
+from sphere_nmpc.model.integrator import step_function
+state, speeds = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.ones(2)
+constants = np.array([0.145, 0.5, 0.1, 0.2])
+"""
+POSES = """
+import contextlib
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.ros.messages import message_object
+raw = serialize_message(PoseStamped())
+"""
+REFUSED = "with contextlib.suppress(InvalidInputError): message_object(raw, PoseStamped)"
+
+
+@pytest.mark.parametrize(("prepared", "call"), [
+    (STEPS, "step_function()(state, speeds, speeds, 0.1, constants)"), (POSES, REFUSED),
+], ids=["casadi", "messages"])
+def test_no_signal_is_lost_in_bindings(roll, prepared: str, call: str) -> None:
+    process = roll(COUNTING.format(prepared=prepared, call=call))
     for _ in range(8):
         assert process.stdout.readline() == "up\n"
         time.sleep(0.003)

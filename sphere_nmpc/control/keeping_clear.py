@@ -28,8 +28,7 @@ delay, and a plan that is followed has a margin of 2.1 mm."""
 def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None:
     """Return a stop where the goal is refused, whatever a plan would be; None where it is not."""
     floor = situation.floor
-    refused = None if floor is None else refusal(situation, floor)
-    if floor is None or refused is None:
+    if floor is None or (refused := refusal(situation, floor)) is None:
         return None
     lasting = refused if floor.lasting is None else refusal(situation, floor.lasting)
     plan = stop(situation, robot, "no way to the goal", refused[1])

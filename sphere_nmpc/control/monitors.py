@@ -162,7 +162,7 @@ class Progress:
             return ""
         ignored = self._rolling if self._rolling > _IGNORED * standing else 0.0
         self._found = (
-            f"given a sphere that has stood {error:.2g} from its goal for {waited:.1f} s, "
+            f"given a sphere that has stood for {waited:.1f} s, error {error:.2g}, "
             f"expected motion; {self._cause(decision, ignored)}"
         )
         return self._found

@@ -18,6 +18,7 @@ from sphere_nmpc.model.disturbance import (
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     MOMENTUM,
+    POSITION,
     QUATERNION,
     Vector,
     angle_error,
@@ -99,11 +100,12 @@ class ArrivalDetector:
 
 
 class _Stand(NamedTuple):
-    """Control time [s] of the first pose of a sphere that stands, the pose, and its error."""
+    """First pose of a sphere that stands: control time [s], pose, error, place of the goal [m]."""
 
     since: float
     pose: Vector
     error: float
+    place: Vector
 
 
 class Progress:
@@ -146,15 +148,25 @@ class Progress:
             return self._found
         self._time, self._found = time, ""
         plan, error = decision.plan, state_error(pose, goal)
-        resting = plan.status is PlanStatus.HOLDING and not plan.given_up
-        if resting or error < _tolerance(settings):
+        holds = plan.status is PlanStatus.HOLDING and not plan.given_up
+        if holds:
+            # With momentum it is moved on purpose, see `docs/momentum.md`.
+            is_near = relative_error(decision, settings) < 1.0
+            none_needed = is_near or bool(decision.momentum.any())
+        else:
+            none_needed = error < _tolerance(settings)
+        if none_needed:
             self._stand = None
             return ""
         longest = max(_PERIODS * settings.period, _SHORTEST)
         standing = _STANDING * self._gain * self._max_speed * longest + self._noise(settings)
         stand = self._stand
-        if stand is None or elapsed < 0.0 or self._progresses(stand, pose, error, standing):
-            self._stand, self._rolling = _Stand(time, pose, error), 0.0
+        if stand is None or elapsed < 0.0 or (
+            # Noisy poses do not tell that it rests where a plan holds it, unless the goal moves.
+            not np.array_equal(goal[POSITION], stand.place) if holds
+            else self._progresses(stand, pose, error, standing)
+        ):
+            self._stand, self._rolling = _Stand(time, pose, error, goal[POSITION]), 0.0
             return ""
         self._rolling += self._gain * _excess(speeds, decision, time) * elapsed
         waited = time - stand.since
@@ -183,6 +195,11 @@ class Progress:
     def _cause(self, decision: Decision, ignored: float) -> str:
         """Return what is known of the cause, such as `ignored` rolling [rad] of the rotors."""
         plan = decision.plan
+        if plan.status is PlanStatus.HOLDING and not plan.given_up:
+            return (
+                "it rests as near as its poses tell where it is: less noise of the poses, or a "
+                "larger goal_tolerance"
+            )
         if ignored:
             return (
                 f"the rotor speeds sent would have rolled it by {ignored * self._radius:.2g} m: "
@@ -207,7 +224,8 @@ def _tolerance(settings: ControllerSettings) -> float:
         math.sqrt(2.0) * settings.pose_position_noise,
         math.sqrt(0.75) * settings.pose_orientation_noise,
     )
-    return settings.goal_tolerance + _SAME_POSE * noise
+    position, angle = settings.tolerances
+    return min(position, 0.5 * angle) + _SAME_POSE * noise
 
 
 def _excess(speeds: Vector, decision: Decision, time: float) -> float:

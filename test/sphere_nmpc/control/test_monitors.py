@@ -135,6 +135,19 @@ def test_robot_that_waits_for_a_plan_and_one_that_gives_up_are_told_so() -> None
     assert text.endswith("the strategy gives up orientation by 30.0 deg: too much")
 
 
+def test_sphere_that_rests_where_noise_hides_the_rest_of_its_error_is_told_so() -> None:
+    """It would never be at the goal, and whoever waits for that would wait for ever."""
+    settings = ControllerSettings(goal_tolerance=1e-3)
+    world = SimulatorSettings(
+        initial_state=tuple(START), position_noise=5e-3, orientation_noise=5e-3, pose_rate=100.0,
+    )
+    run = run_closed_loop(
+        Simulator(world, ROBOT), Controller(settings, ROBOT), GOAL, 14.0, settings.control_period
+    )
+    assert first_missing(run).endswith("less noise of the poses, or a larger goal_tolerance")
+    assert {d.mode for d in run.decisions} == {Mode.TRACKING, Mode.NO_PROGRESS}
+
+
 def test_progress_and_another_goal_end_it() -> None:
     settings = ControllerSettings(strategy="paper")
     controller = Controller(settings, ROBOT, Standing())
@@ -172,6 +185,9 @@ def test_slow_approach_and_motion_are_progress() -> None:
     assert not any(missing([at(-0.005 * k) for k in range(60)]))
     assert not any(missing([at(0.0, 0.01 * k) for k in range(60)]))
     assert any(missing([at(-0.0005 * k) for k in range(60)]))
+    # Within the tolerance of the error in R^6, but not within that of the position.
+    assert not any(missing([at(0.995)] * 20))
+    assert any(missing([at(0.995)] * 20, position_tolerance=1e-3))
 
 
 def test_noise_neither_hides_a_stand_nor_makes_one_of_a_rest_at_the_goal() -> None:

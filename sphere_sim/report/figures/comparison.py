@@ -68,7 +68,7 @@ def side_by_side(first: Run, second: Run, title: str) -> Figure:
         _draw_errors_and_paths(error, path, runs)
         for i, run in enumerate(runs):
             draw_rotor_speeds(speeds[i], run)
-            speeds[i].set_title(f"{'cd'[i]}: rotor speeds, {literal(run.name)}")
+            speeds[i].set_title(f"{'cd'[i]}: {literal(run.name)}")
             speeds[i].set_xlim(0.0, end)
         path.plot(*first.states[0, :2], "o", color=BLACK, markersize=6, label="start")
         if first.goal is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 
 from sphere_nmpc.floor.occupancy import Grid
@@ -58,14 +59,18 @@ def test_figure_of_a_run_with_poses_only_is_drawn(name, tmp_path) -> None:
     assert png.read_bytes().startswith(b"\x89PNG") and "<svg" in svg.read_text()
 
 
-@pytest.mark.parametrize("name", ["panels", "error", "momentum", "solve"])
-def test_legends_cover_no_curve(name) -> None:
-    figure = FIGURES[name](make_run())
+@pytest.mark.parametrize("name", ["panels", "error", "momentum", "solve", "side_by_side"])
+def test_legends_cover_no_curve_and_no_title(name) -> None:
+    figure = FIGURES[name](replace(make_run(), name="plan_keeping, computed without ROS"))
     figure.draw_without_rendering()
     legends = [(axes, axes.get_legend()) for axes in figure.axes if axes.get_legend()]
     assert legends
     for axes, legend in legends:
-        assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1.0
+        extent = legend.get_window_extent()
+        assert extent.y0 >= axes.get_window_extent().y1 - 1.0
+        words = axes.get_title(loc="left")
+        titles = [it for it in axes.findobj(Text) if words and it.get_text() == words]
+        assert all(title.get_window_extent().x1 <= extent.x0 for title in titles)
 
 
 def test_momentum_is_drawn_with_the_pushes_and_what_a_rotor_can_hold() -> None:

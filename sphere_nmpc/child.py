@@ -20,6 +20,8 @@ END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 """Signals that ask a process to end, which all processes of this package treat alike."""
 Process = subprocess.Popen[bytes]
 _SET_PARENT_DEATH_SIGNAL = 1
+# Loaded at once: between fork and exec the loader's lock may be held by a thread that is no more.
+_PRCTL = ctypes.CDLL(None).prctl if sys.platform.startswith("linux") else None
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
@@ -47,8 +49,8 @@ def python_command(program: str, *arguments: str, python: str | None = None) -> 
 
 def end_with_parent(parent: int) -> None:
     """Let this process end when its parent, with this id, ends for whatever reason; Linux only."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
+    if _PRCTL is not None:
+        _PRCTL(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
         if os.getppid() != parent:
             sys.exit(1)
 

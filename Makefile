@@ -27,8 +27,8 @@ help:  ## List the commands
 demo: $(VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2"); first installs 1.3 GB in 2 minutes
 	$(VENV)/bin/sphere_nmpc demo $(ARGS)
 
-test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in 6 minutes (ARGS="-k name")
-	@echo "2000 tests take six minutes on two idle cores, longer on busy ones"
+test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in 7 minutes (ARGS="-k name")
+	@echo "2000 tests take seven minutes on two idle cores, longer on busy ones"
 	$(VENV)/bin/python -m pytest $(SPREAD) $(ARGS)
 
 test-fast: $(VENV)/.stamp  ## Run the tests that take no more than a few seconds

@@ -20,6 +20,11 @@ NANOSECONDS = 1_000_000_000
 _KEY = "quantity"
 
 
+def stamp_text(stamp: int) -> str:
+    """Return a stamp [ns] as statuses write it: seconds with nine decimals."""
+    return "{}.{:09d}".format(*divmod(stamp, NANOSECONDS))
+
+
 @dataclass(frozen=True)
 class Quantity:
     """Metadata of a parameter."""

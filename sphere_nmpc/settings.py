@@ -46,12 +46,12 @@ class StrategyEntry:
 
 
 _SAMPLE_PERIOD = 0.25
-"""Sample period of a strategy of another package [s; for the robot of Table 1]."""
+"""Sample period of `time_optimal` and strategies of other packages [s; for Table 1's robot]."""
 STRATEGIES: dict[str, StrategyEntry] = {
     own.name: StrategyEntry(_SAMPLE_PERIOD, own.value) for own in entry_points(group=ENTRY_POINTS)
 } | {
     "time_optimal": StrategyEntry(
-        0.25, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy"
+        _SAMPLE_PERIOD, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy"
     ),
     "plan_keeping": StrategyEntry(0.5, "sphere_nmpc.strategy.plan_keeping:PlanKeepingStrategy"),
     "paper": StrategyEntry(0.5, "sphere_nmpc.strategy.paper:PaperStrategy"),

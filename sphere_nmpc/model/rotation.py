@@ -37,8 +37,8 @@ def product(a: Vector, b: Vector) -> Vector:
 
 
 def products(a: Vector, b: Vector) -> Vector:
-    """Return the products of quaternions, shape (4, K), with one, (4,), as `product` does."""
-    (aw, ax, ay, az), (bw, bx, by, bz) = a, b.tolist()
+    """Return the products of quaternions, shape (4, K), with one, (4,), or as many, (4, K)."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
     return np.stack((
         aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,

@@ -84,11 +84,6 @@ def stamp_from_ros(message: Any) -> int:
     return int(message.sec) * NANOSECONDS + int(message.nanosec)
 
 
-def stamp_text(stamp: int) -> str:
-    """Return a stamp [ns] as seconds with nine decimals."""
-    return "{}.{:09d}".format(*divmod(stamp, NANOSECONDS))
-
-
 def seconds(stamp: int, epoch: int = 0) -> float:
     """Return a stamp [ns] as control time [s] since `epoch` [ns]."""
     return (stamp - epoch) / NANOSECONDS

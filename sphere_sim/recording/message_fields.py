@@ -40,11 +40,6 @@ def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
 
 
-def stamp_text(message: Any) -> str:
-    """Return the stamp of a message with a header as statuses write it, in seconds."""
-    return "{}.{:09d}".format(*divmod(stamp_of(message), NANOSECONDS))
-
-
 def state_of(message: Any) -> list[float]:
     """Return x, y [m; world frame] and the quaternion wxyz of a stamped pose, unchecked."""
     position, orientation = message.pose.position, message.pose.orientation

@@ -11,6 +11,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
+from sphere_nmpc.quantity import stamp_text
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
@@ -38,7 +40,6 @@ from sphere_sim.recording.message_fields import (
     reported_orientation,
     reported_solve,
     stamp_of,
-    stamp_text,
     state_of,
 )
 from sphere_sim.recording.messages import Messages, read_messages
@@ -132,7 +133,7 @@ class _TopicReader:
 
     def setup(self, parameters: dict[str, Any], robot: RobotParameters) -> str:
         """Return strategy, robot and plant in words, given the controller's parameters."""
-        used = [values.get("strategy", "") for _, values in self._statuses()]
+        used = [values.get("strategy", "") for _, values in self._statuses]
         strategies = list(dict.fromkeys(filter(None, used))) or [parameters.get("strategy", "")]
         simulator = f"{self._robot}/simulator"
         plant = _recorded_parameters(self._messages.custom_data, simulator).get("plant", "")
@@ -213,7 +214,7 @@ class _TopicReader:
             self._notes.append("active_goal is missing; goal_pose is used instead")
         demanded = {
             values.get("active_goal_stamp"): reported_orientation(values)
-            for _, values in self._statuses()
+            for _, values in self._statuses
         } if accepted else {}
         entries = []
         for received, message in given:
@@ -226,7 +227,7 @@ class _TopicReader:
                 self._time(topic, message, received, latched=True)
                 if accepted else self._clock.time_of_log(received)
             )
-            orientation = demanded.get(stamp_text(message), Orientation.FULL)
+            orientation = demanded.get(stamp_text(stamp_of(message)), Orientation.FULL)
             entries.append((time, Goal(state, orientation)))
         if len(entries) < len(given):
             self._notes.append(f"{topic}: {len(given) - len(entries)} invalid goals were ignored")
@@ -264,7 +265,7 @@ class _TopicReader:
     def solves(self) -> Solves:
         """Return the solves that the controller reported."""
         rows, statuses = [], []
-        for time, values in self._statuses():
+        for time, values in self._statuses:
             solve = reported_solve(values)
             if "plan" not in values or not 0.0 < solve.duration < _LONGEST_SOLVE:
                 continue  # nothing was solved at this sample
@@ -281,7 +282,7 @@ class _TopicReader:
         The parameters are those of the controller, which define the units of the model.
         """
         reports = [
-            (time, reported_momentum(values), disturbance) for time, values in self._statuses()
+            (time, reported_momentum(values), disturbance) for time, values in self._statuses
             if (disturbance := reported_disturbance(values, parameters)) is not None
             and np.all(np.isfinite(reported_momentum(values)))
         ]
@@ -317,7 +318,7 @@ class _TopicReader:
                     f"{topic}: {len(invalid)} invalid floors were ignored; {invalid[0]}"
                 )
         found.sort(key=lambda entry: entry[0])
-        reports = [(time, number(values, CLEARANCE)) for time, values in self._statuses()
+        reports = [(time, number(values, CLEARANCE)) for time, values in self._statuses
                    if CLEARANCE in values]
         times, clearances = np.array(reports, dtype=float).reshape(-1, 2).T
         return Floors(
@@ -364,8 +365,9 @@ class _TopicReader:
             and topic.removesuffix(ending).rpartition("/")[0] == self._robot
         )
 
+    @cached_property
     def _statuses(self) -> list[tuple[float, dict[str, str]]]:
-        """Return time [s] and key-value pairs of each status of the controller."""
+        """Time [s] and key-value pairs of each status of the controller."""
         return [
             self._status(received, message) for topic in self._topics("/status")
             for received, message in self._messages.decoded[topic]

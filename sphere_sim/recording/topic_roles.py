@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, are_states
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import POSITION, QUATERNION, are_states
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
 from sphere_sim.recording.message_fields import POSE_TOPIC, state_of
 from sphere_sim.recording.messages import Messages, full_topic_name
@@ -63,12 +64,13 @@ def find_robot(messages: Messages, namespace: str | None, pose_topic: str | None
     with what could be chosen, where there is no such robot or topic, or there are several.
     """
     found = _Bag(messages)
+    pose_topic = None if pose_topic is None else full_topic_name(pose_topic)
     robot = found.select(namespace, pose_topic)
     nodes = found.controllers(robot)
     stated = found.stated(robot, nodes)
     return Robot(
         robot, nodes[0] if nodes else f"{robot}/controller",
-        found.poses(robot, stated) if pose_topic is None else full_topic_name(pose_topic),
+        found.poses(robot, stated) if pose_topic is None else pose_topic,
         found.of_rotors(robot, "joint_states", _JOINTS, stated),
         found.of_rotors(robot, "rotor_trajectory", _PLANS, stated),
     )
@@ -94,8 +96,8 @@ class _Bag:
     def select(self, given: str | None, pose_topic: str | None) -> str:
         """Return the namespace of the robot that is given, by itself or by its poses."""
         robots, names = self._robots, ", ".join(name or "/" for name in self._robots)
-        if pose_topic is not None and full_topic_name(pose_topic) not in self._candidates:
-            raise self._error(f"{full_topic_name(pose_topic)}: expected a topic of type {_POSE}")
+        if pose_topic is not None and pose_topic not in self._candidates:
+            raise self._error(f"{pose_topic}: expected a topic of type {_POSE}")
         if given is not None:
             robot = full_topic_name(given).rstrip("/")
             if robot in self._possible or (pose_topic is not None and not robots):
@@ -103,7 +105,7 @@ class _Bag:
             raise self._error(f"no robot in namespace '{given}'; it has: {names or 'none'}")
         if len(robots) > 1 and pose_topic is not None:
             # Poses in the namespace of one of them are its own.
-            robots = [it for it in robots if it == _space(full_topic_name(pose_topic))] or robots
+            robots = [it for it in robots if it == _space(pose_topic)] or robots
         if len(robots) > 1:
             raise self._error(f"holds several robots, choose one by its namespace: {names}")
         if robots or pose_topic is not None:
@@ -197,8 +199,12 @@ class _Bag:
         """Return whether poses move as a sphere that rolls does, whatever its radius."""
         states = np.array([state_of(message) for _, message in self._messages.decoded[topic]])
         states = states[are_states(states)]
-        turns = _turns(states[:, QUATERNION])
-        steps, rolled = np.diff(states[:, POSITION], axis=0), turns[:, [1, 0]] * (1.0, -1.0)
+        quaternions = states[:, QUATERNION]
+        real, about_x, about_y, _ = rotation.products(
+            quaternions[1:].T, rotation.conjugate(quaternions[:-1]).T
+        )
+        steps = np.diff(states[:, POSITION], axis=0)
+        rolled = np.sign(real)[:, None] * np.column_stack((about_y, -about_x))
         common = float(np.sum(steps * rolled))
         # More than half of the motion is explained: a correlation.
         return common > 0.0 and common**2 > 0.5 * float(np.sum(steps**2) * np.sum(rolled**2))
@@ -220,15 +226,6 @@ class _Bag:
         if self._candidates and "--pose-topic" not in reason:
             reason += f"; --pose-topic takes one of {', '.join(self._candidates)}"
         return BagError(self._messages.path, reason)
-
-
-def _turns(quaternions: Vector) -> Vector:
-    """Return the short rotations from each orientation (n, 4) to the next, (n - 1, 3) [rad]."""
-    w0, v0, w1, v1 = (quaternions[:-1, :1], quaternions[:-1, 1:],
-                      quaternions[1:, :1], quaternions[1:, 1:])
-    real = w0 * w1 + np.sum(v0 * v1, axis=1, keepdims=True)
-    found: Vector = 2.0 * np.sign(real) * (w0 * v1 - w1 * v0 - np.cross(v1, v0))
-    return found
 
 
 def _space(topic: str) -> str:

@@ -21,7 +21,7 @@ from sphere_nmpc.model.disturbance import (
 from sphere_nmpc.model.goal import Itinerary
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
-from sphere_nmpc.ros.messages import stamp_text
+from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5

@@ -35,11 +35,11 @@ from sphere_nmpc.control.navigation import (
     Requests,
 )
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantity import NANOSECONDS, stamp_text
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import message_object, stamp_text, stamp_to_ros
+from sphere_nmpc.ros.messages import message_object, stamp_to_ros
 from sphere_nmpc.ros.navigator.action_server import GoalServer
 from sphere_nmpc.ros.navigator.requests import (
     action_types,

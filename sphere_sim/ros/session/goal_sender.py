@@ -12,8 +12,9 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.ros.graph_monitor import type_name
-from sphere_nmpc.ros.messages import stamp_text, stamp_to_ros
+from sphere_nmpc.ros.messages import stamp_to_ros
 from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_messages import GoalMessage
 from sphere_sim.ros.session.serving import serve_until

@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.floor.occupancy import InvalidMapError
+from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.ros.graph_monitor import publishers_of
 from sphere_nmpc.ros.messages import (
     framed_pose_from_ros,
@@ -24,7 +25,7 @@ from sphere_nmpc.ros.messages import (
     seconds,
     stamp_from_ros,
 )
-from sphere_sim.recording.message_fields import floor_of, stamp_text
+from sphere_sim.recording.message_fields import floor_of
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import Frame
 
@@ -96,7 +97,8 @@ class RobotSubscriptions:
     def _take_goal(self, message: PoseStamped) -> None:
         self._arrival()
         with suppress(InvalidStateError):
-            self._live.add_goal(stamp_text(message), pose_from_ros(message))
+            stamp = stamp_text(stamp_from_ros(message.header.stamp))
+            self._live.add_goal(stamp, pose_from_ros(message))
 
     def _take_plan(self, message: Path) -> None:
         self._live.controller_at = self._arrival()

@@ -25,7 +25,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import upright_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantity import NANOSECONDS, stamp_text
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.node import ControllerNode
@@ -36,7 +36,6 @@ from sphere_nmpc.ros.messages import (
     pose_from_ros,
     pose_to_ros,
     stamp_from_ros,
-    stamp_text,
     stamp_to_ros,
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES

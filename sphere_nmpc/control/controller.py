@@ -4,7 +4,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from sphere_nmpc.control.monitors import (
 )
 from sphere_nmpc.control.pose_stream import PoseCheck, PoseGate
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.estimation.estimate import Estimate
+from sphere_nmpc.estimation.estimate import Estimate, PlantEstimate
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED
@@ -29,10 +29,12 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
+    POSE,
     POSITION,
     STATE_SIZE,
     Vector,
     as_state,
+    state_error,
     without_momentum,
 )
 from sphere_nmpc.model.torque import within_torque
@@ -46,11 +48,47 @@ _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Planned:
+    """Plan of the strategy with what it was made for."""
+
+    mode: Mode
+    plan: Plan
+    situation: Situation
+    aim: Goal
+    plant: PlantEstimate
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether the motion that is planned has been certified to keep clear."""
+        return self.situation.floor is not None and not self.plan.stops
+
+    def stands(
+        self, time: float, estimate: Estimate, aim: Goal, floor: Floor | None
+    ) -> bool:
+        """Return whether nothing is new at `time` [s], so that no other plan is wanted.
+
+        That is while goal, floor and plant are those that it was made for, and the sphere moves as
+        it predicts.
+        """
+        plan, made_for = self.plan, self.situation
+        if not made_for.time < time < plan.until or aim is not self.aim:
+            return False
+        if floor is not made_for.floor or estimate.plant is not self.plant:
+            return False
+        if estimate.disturbance is not made_for.disturbance:
+            return False
+        predicted = plan.state_at(time, made_for.constants.as_array(), made_for.disturbance)
+        error = state_error(estimate.state, predicted[POSE])
+        return error <= max(plan.tolerance, estimate.uncertainty)
+
+
 class Controller:
     """Control loop of estimation, planning and commands; it never raises while running.
 
-    Each command ends at rest, so that the hold in force can safely be followed to its end: if an
-    estimate or a solve fails, it stays in force. Without a goal, a pose or permission the sphere
+    A plan is kept while nothing is new, see `_Planned`. Each command ends at rest, so that the
+    hold in force can safely be followed to its end: if an estimate or a solve fails, it stays in
+    force. Without a goal, a pose or permission the sphere
     stops on the path of that hold; with momentum the rotors stop, and the sphere rolls on.
 
     Parameters
@@ -102,8 +140,8 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
-        self._situation: Situation | None = None
-        """That of the newest plan on a floor; None after a decision without one."""
+        self._planned: _Planned | None = None
+        """The newest plan, with what it was made for; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
         self.failures = 0
@@ -176,7 +214,15 @@ class Controller:
 
     def _goal_at(self, time: float) -> Goal | None:
         """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""
-        return None if self._itinerary is None else current(self._itinerary.goal, time)
+        goals = self._itinerary
+        if goals is None:
+            return None
+        goal = current(goals.goal, time)
+        if goal is not goals.goal:
+            self._itinerary = replace(
+                goals, goals=tuple(goal if one is goals.goal else one for one in goals.goals)
+            )
+        return goal
 
     def set_goal(self, goal: Vector | Goal) -> bool:
         """Track one goal, or a goal state, shape (6,), with all of its orientation: `set_goals`.
@@ -367,21 +413,27 @@ class Controller:
         """Return what to send at `now` [s] for the plan `hold` of a decision; see `commit`."""
         commands = self._commands
         start = commands.earliest(now)
-        situation, period = self._situation, self._settings.control_period
-        is_late = start - decision.plan.hold.start > LATE * self._settings.units.time
-        if is_late and situation is not None and not decision.plan.stops:
-            hold = clear_command(situation, hold, commands, start, period, self._robot)
-        else:
-            hold = commands.joined(hold, start, period)
-        planned = decision.solved or decision.mode is Mode.FALLBACK
-        if not planned and not hold.speeds.any() and not commands.sent.moves_after(start):
-            return None
-        self.rotor_feedback.sent(hold)
-        commands.record(hold, stops=not planned)
-        return hold
+        sent = commands.rest_of(hold, start)
+        if sent is None:
+            period, planned = self._settings.control_period, self._planned
+            late = start - decision.plan.hold.start > LATE * self._settings.units.time
+            if late and planned is not None and planned.is_certified:
+                sent = clear_command(
+                    planned.situation, hold, commands, start, period, self._robot
+                )
+                self._planned = None  # it is not what is followed
+            else:
+                sent = commands.joined(hold, start, period)
+            stops = not decision.solved and decision.mode is not Mode.FALLBACK
+            if stops and not sent.speeds.any() and not commands.sent.moves_after(start):
+                return None
+            commands.begin(hold, sent, stops)
+        self.rotor_feedback.sent(sent)
+        commands.record(sent)
+        return sent
 
     def _decide(self, time: float, time_budget: float) -> Decision:
-        self._situation = None
+        before, self._planned = self._planned, None
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Mode.NO_POSE, float("inf"))
@@ -402,7 +454,7 @@ class Controller:
         if self._is_carried:
             mode = Mode.POSE_JUMPED
             return Decision(mode, self._stop(time, mode), None, pose_age=age)
-        goals, aim, estimate = self._itinerary, self._goal_at(time), None
+        aim, estimate = self._goal_at(time), None
         failure: Exception = ArithmeticError("no estimate")
         try:
             estimate = self._estimator.estimate(time)
@@ -418,16 +470,21 @@ class Controller:
             plan = self._stop(time, mode, state)
         elif estimate is None:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
+        elif before is not None and before.stands(time, estimate, aim, self.floor) and not (
+            self.is_due(time)
+        ):
+            self._planned, mode, plan = before, before.mode, before.plan
         else:
             mode, plan = self._plan(time, estimate, aim, goal, time_budget)
         decision = Decision(
-            mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance
+            mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance,
+            is_new=before is None or plan is not before.plan,
         )
         settings = self._settings
         away = relative_error(decision, settings)
         if self._is_refused and decision.solved:
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
-        reached = self._arrival.update(time, away, settings.period)
+        reached, goals = self._arrival.update(time, away, settings.period), self._itinerary
         if reached and goals is not None and not goals.is_last:
             self._aim(replace(goals, index=goals.index + 1))
             return decision
@@ -472,9 +529,10 @@ class Controller:
             plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
-            self._situation = situation if situation.floor is not None else None
             saturated = plan.status is PlanStatus.SATURATED
-            return Mode.SATURATED if saturated else Mode.TRACKING, plan
+            mode = Mode.SATURATED if saturated else Mode.TRACKING
+            self._planned = _Planned(mode, plan, situation, aim, plant)
+            return mode, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)
 
@@ -511,6 +569,7 @@ class Controller:
 
     def _call_strategy(self, call: Callable[[], object]) -> None:
         """Call the strategy; where that fails, a new one takes its place, without what it kept."""
+        self._planned = None
         try:
             call()
         except Exception as error:
@@ -519,6 +578,7 @@ class Controller:
 
     def _renew_strategy(self) -> None:
         """Put a new strategy in force; where it cannot be made, the one before stays."""
+        self._planned = None
         try:
             self._strategy = self._make_strategy()
         except Exception as error:

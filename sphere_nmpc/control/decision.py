@@ -60,6 +60,8 @@ class Decision:
         Estimated slope and imbalance.
     no_progress : str
         For how long the sphere has stood away from its goal, and why; empty where it has not.
+    is_new : bool
+        Whether the plan was made at this instant, rather than kept.
     """
 
     mode: Mode
@@ -71,6 +73,7 @@ class Decision:
     momentum: Vector = field(default_factory=lambda: NO_MOMENTUM)
     disturbance: Disturbance = UNDISTURBED
     no_progress: str = ""
+    is_new: bool = True
 
     @cached_property
     def error(self) -> float:
@@ -86,6 +89,11 @@ class Decision:
     def angle_error(self) -> float:
         """Angle between the orientations of state and goal [rad]; nan if unknown."""
         return self._distance(angle_error)
+
+    @property
+    def solve_time(self) -> float:
+        """Wall time that was spent on the plan at this instant [s], steady clock."""
+        return self.plan.solve_time if self.is_new else 0.0
 
     @property
     def solved(self) -> bool:

@@ -13,10 +13,11 @@ import numpy as np
 
 from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
+from sphere_nmpc.quantity import NANOSECONDS
 
 REACH = 3.0
 """Time after which a command that is not renewed stops [s]."""
@@ -71,7 +72,10 @@ class Commands:
         self._max_acceleration = robot.max_rotor_acceleration
         self.sent = SentInputs()
         """History of the holds sent."""
-        self._stop: FirstOrderHold | None = None
+        self._begun: FirstOrderHold | None = None
+        self._stops = False
+        self._newest: FirstOrderHold | None = None
+        self._renewed_at = -math.inf
 
     def in_force(self, time: float) -> FirstOrderHold:
         """Return the hold in force from `time` on; before the first one rest."""
@@ -82,14 +86,33 @@ class Commands:
     def stop(self, time: float) -> FirstOrderHold:
         """Return the hold from `time` on that comes to rest on the path of the one in force."""
         in_force = self.in_force(time)
-        if self._stop is not None and self._stop is self.sent.newest:
+        if self._stops and self._newest is not None and self._newest is self.sent.newest:
             return in_force
         return stop_on_path(in_force, self._max_acceleration)
 
-    def record(self, hold: FirstOrderHold, stops: bool) -> None:
-        """Record a hold as sent; `stops` says whether it is a stop."""
-        self.sent.record(hold)
-        self._stop = hold if stops else None
+    def rest_of(self, hold: FirstOrderHold, time: float) -> FirstOrderHold | None:
+        """Return the rest of the newest command from `time` on if it follows a hold, else None.
+
+        It is None as well where the stop at its end has come near, or its end within the shortest
+        interval.
+        """
+        newest = self.sent.newest
+        if hold is not self._begun or newest is None or newest is not self._newest:
+            return None
+        if time > self._renewed_at or 0.0 < newest.end - time <= SHORTEST:
+            return None
+        time = round(time * NANOSECONDS) / NANOSECONDS  # on the line between two knots
+        return newest.starting_at(time, newest.at(time), SHORTEST)
+
+    def begin(self, hold: FirstOrderHold, sent: FirstOrderHold, stops: bool) -> None:
+        """Begin to follow a hold by what is sent; `stops` says whether it is a stop."""
+        self._begun, self._stops = hold, stops
+        self._renewed_at = sent.start + 0.5 * REACH
+
+    def record(self, sent: FirstOrderHold) -> None:
+        """Record a command as sent."""
+        self.sent.record(sent)
+        self._newest = sent
 
     def earliest(self, now: float) -> float:
         """Return the time at which a command can start: the clock may be slightly late."""

@@ -110,6 +110,7 @@ class Estimator:
         self._knot: float | None = None
         self._tracker: Tracker | None = None
         self._replies: list[Reply[Posterior | None]] = []
+        self._kept: tuple[Posterior, ControllerSettings, PlantEstimate] | None = None
         self._has_diverged = False
         """Whether a result was not valid since the last estimate."""
         self._result = Posterior.initial(settings.drive_lag, self._scaling)
@@ -124,6 +125,14 @@ class Estimator:
     def plant(self) -> PlantEstimate:
         """The plant parameters estimated so far, also without a pose."""
         self._collect()
+        result, settings = self._result, self._settings
+        if self._kept is not None and self._kept[0] is result and self._kept[1] is settings:
+            return self._kept[2]
+        plant = self._plant_of()
+        self._kept = result, settings, plant
+        return plant
+
+    def _plant_of(self) -> PlantEstimate:
         result, scaling, settings = self._result, self._scaling, self._settings
         common, covariance = result.common, result.covariance
         deviations = np.sqrt(np.diag(covariance)[KNOT : KNOT + 4]) * scaling.nominal.as_array()

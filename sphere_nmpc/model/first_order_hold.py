@@ -15,7 +15,7 @@ from sphere_nmpc.quantity import NANOSECONDS
 
 FASTEST = 1e6
 """Largest rotor speed [rad/s]; far beyond it differences over short times overflow."""
-_SHORTEST = 1e-6
+SHORTEST = 1e-6
 """Shortest interval between two knots of a command [s]: a thousand times the resolution of a
 stamp."""
 
@@ -96,7 +96,7 @@ class FirstOrderHold:
             return cls.constant(time, np.zeros(INPUT_SIZE))
         # Rounded up to nanoseconds, as stamps are: a shorter ramp would exceed the limit.
         shortest = fastest / max_acceleration
-        end = time + max(_SHORTEST, math.ceil(shortest * NANOSECONDS) / NANOSECONDS)
+        end = time + max(SHORTEST, math.ceil(shortest * NANOSECONDS) / NANOSECONDS)
         if end - time < shortest:  # on a clock that counts from 1970 a float resolves 2e-7 s
             end = math.nextafter(end, math.inf)
         times = np.array([time, end])
@@ -133,6 +133,10 @@ class FirstOrderHold:
         speeds = np.column_stack([np.interp(times, self.times, row) for row in self.speeds.T])
         return FirstOrderHold(times, speeds)
 
+    def knots_until(self, time: float) -> int:
+        """Return the number of knots up to a time [s], itself included; at least 1."""
+        return max(1, bisect_right(self._knots, time))
+
     def knots_between(self, since: float, until: float) -> list[float]:
         """Return the times of the knots strictly between two times [s]."""
         knots = self._knots
@@ -142,13 +146,15 @@ class FirstOrderHold:
         """Return the same hold `offset` seconds later."""
         return FirstOrderHold(self.times + offset, self.speeds)
 
-    def starting_at(self, time: float, speeds: Vector) -> "FirstOrderHold":
+    def starting_at(
+        self, time: float, speeds: Vector, shortest: float = 1e-9
+    ) -> "FirstOrderHold":
         """Return the hold that starts with `speeds` at `time` and meets this one at its next knot.
 
-        For a command that takes effect late: knots before `time` are dropped, and the ramp starts
-        from the speeds in force.
+        For a command that takes effect late: knots up to `shortest` [s] after `time` are dropped,
+        and the ramp starts from the speeds in force.
         """
-        first = bisect_right(self._knots, time + 1e-9)
+        first = bisect_right(self._knots, time + shortest)
         times = np.array([time, *self._knots[first:]])
         knots = np.empty((times.size, INPUT_SIZE))
         knots[0] = speeds
@@ -178,7 +184,7 @@ class FirstOrderHold:
         times = np.rint(self.times * NANOSECONDS) / NANOSECONDS
         knots, kept = times.tolist(), [0]
         for i, time in enumerate(knots):
-            if time - knots[kept[-1]] >= _SHORTEST:
+            if time - knots[kept[-1]] >= SHORTEST:
                 kept.append(i)
         if len(kept) < times.size:
             return FirstOrderHold._unchecked(times[kept], self.speeds[kept])

@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Result of a strategy at a sampling instant."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.solver.roll_out import roll_out
 
 
 class PlanStatus(Enum):
@@ -75,6 +78,11 @@ class Plan:
         or no motion is planned.
     beyond : float
         Length of the way from its end to the goal [m], where it ends on the way there.
+    until : float
+        Control time before which no other plan is wanted while nothing new is known [s], see
+        `Controller`; -inf where each sampling instant has one of its own.
+    tolerance : float
+        Difference of the estimated state from the predicted one that is nothing new, in R^6.
     """
 
     status: PlanStatus
@@ -91,12 +99,24 @@ class Plan:
     motion: int = 0
     clearance: float = float("nan")
     beyond: float = 0.0
+    until: float = -math.inf
+    tolerance: float = 0.0
 
     @property
     def stops(self) -> bool:
         """Whether all that it does is to bring the rotors to the speeds at which they stay."""
         saturated = self.status is PlanStatus.SATURATED and len(self.states) < 2
         return saturated or self.status is PlanStatus.RAMP_TO_REST
+
+    def state_at(self, time: float, constants: Vector, disturbance: Disturbance) -> Vector:
+        """Return the state predicted for control time `time` [s], shape (9,)."""
+        hold = self.hold
+        begin = min(hold.knots_until(time), len(self.states)) - 1
+        times = [*hold.times[begin : hold.knots_until(time)].tolist(), time]
+        speeds = np.vstack((hold.speeds[begin : begin + len(times) - 1], hold.at(time)))
+        return roll_out(
+            self.states[begin], speeds, np.diff(times), constants, disturbance=disturbance
+        )[-1]
 
     def distance_left(self, now: float) -> float:
         """Return the length of the way to the goal from `now` [s] on [m]; nan without a plan.

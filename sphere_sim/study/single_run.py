@@ -93,7 +93,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
 
 
 def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:
-    planned = [d.plan.solve_time for d in trajectory.decisions if d.solved]
+    planned = [d.plan.solve_time for d in trajectory.decisions if d.solved and d.is_new]
     solve_times = np.array(planned)
     speeds = np.vstack((trajectory.speeds, inputs.speeds))
     measured = measure(

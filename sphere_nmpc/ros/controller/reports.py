@@ -223,7 +223,7 @@ class ControllerReports:
         self._gaps.append(wall - self._last_tick)
         self._last_tick = wall
         plan = decision.plan
-        if decision.solved:
+        if decision.solved and decision.is_new:
             self._solve_times.append(plan.solve_time)
         self._log_failure(decision)
         warnings = self._warnings(decision)

@@ -89,7 +89,7 @@ class ControllerStatus:
             "position_deviation_m": decision.position_deviation,
             "angle_deviation_rad": decision.angle_deviation,
             "pose_age_s": decision.pose_age,
-            "solve_time_s": plan.solve_time,
+            "solve_time_s": decision.solve_time,
             "tick_time_s": duration,
             "iterations": plan.iterations,
             "cost": plan.cost,

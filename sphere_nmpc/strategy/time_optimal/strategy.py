@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time-optimal control with a shrinking horizon: a plan is followed to its end, then held.
 
-At a new goal the earliest arrival that a search finds is planned. At each later sample what is
-left of the plan is solved again from the measured state; the duration is a variable, so that a
-disturbance changes the time of the arrival. Once a sample period a search looks for an earlier
+At a new goal the earliest arrival that a search finds is planned. What is left of the plan is
+solved again from the measured state once a sample period, and whenever something is new; the
+duration is a variable, so that a disturbance changes the time of the arrival. Once a sample period a search looks for an earlier
 one. At the goal the rotors rest; small errors are corrected by rolling, larger ones by a new plan.
 ``docs/strategy.md`` has the stability argument.
 
@@ -163,11 +163,29 @@ class TimeOptimalStrategy:
         situation = self._aimed(situation)
         self._state = self._next(self._state, situation, began + situation.time_budget)
         plan = self._plan_of(self._state, situation)
+        plan = dataclasses.replace(
+            plan, until=self._until(situation), tolerance=self._tuning.arrival_error
+        )
         if not plan.given_up and self._held_goal.given_up:
             plan = dataclasses.replace(plan, given_up=self._held_goal.given_up)
         if isinstance(self._state, Holding):
             return plan
         return dataclasses.replace(plan, solve_time=time.perf_counter() - began)
+
+    def _until(self, situation: Situation) -> float:
+        """Return the control time before which no other plan is wanted [s] if nothing is new."""
+        state, now, settings = self._state, situation.time, self._settings
+        until = now + settings.period - 0.5 * settings.control_period
+        if isinstance(state, Holding):
+            return -np.inf if situation.goal_rate.any() else until
+        if not isinstance(state, Following) or not state.reaches:
+            return -np.inf
+        searches = self._searches.task is None and not self._is_improved(state, situation)
+        if searches and state.is_part:
+            return -np.inf
+        if searches:
+            until = self._improved_at + settings.period - 0.5 * settings.control_period
+        return min(until, state.planned_at + state.arrival.duration)
 
     def _plan_of(self, state: State, situation: Situation) -> Plan:
         if isinstance(state, Holding):
@@ -338,12 +356,9 @@ class TimeOptimalStrategy:
         """Begin a search for a better plan, once a sample period; return the best one so far."""
         settings, now = self._settings, situation.time
         searches = self._searches
-        begins = now + (max(searches.ahead, settings.control_period) if searches.ahead else 0.0)
+        begins = self._begins(now)
         suits = plan.reaches and plan.leads_to(situation)
-        over = suits and not plan.is_part and (
-            plan.fruitless >= self._tuning.fruitless_searches
-            or plan.time_left(begins) < 2.0 * plan.solver.grid.spacing
-        )
+        over = suits and self._is_improved(plan, situation)
         idle = plan.is_part or self._is_idle(now)
         if searches.task is not None or over or not (idle or not suits):
             return plan
@@ -366,6 +381,18 @@ class TimeOptimalStrategy:
         if is_fruitless:
             return dataclasses.replace(plan, fruitless=plan.fruitless + 1)
         return better(plan, found, situation) or plan
+
+    def _begins(self, now: float) -> float:
+        """Return the control time at which the plan of a search that begins now starts [s]."""
+        ahead = self._searches.ahead
+        return now + (max(ahead, self._settings.control_period) if ahead else 0.0)
+
+    def _is_improved(self, plan: Following, situation: Situation) -> bool:
+        """Return whether no earlier arrival is searched for any more."""
+        return not plan.is_part and (
+            plan.fruitless >= self._tuning.fruitless_searches
+            or plan.time_left(self._begins(situation.time)) < 2.0 * plan.solver.grid.spacing
+        )
 
     def _is_at_rest(self, situation: Situation) -> bool:
         """Return whether the rotors turn at the speeds at which the sphere rests."""

@@ -3,6 +3,7 @@
 """Settings of the controller, and the table of strategies."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
@@ -178,13 +179,13 @@ class ControllerSettings:
         """Return the settings with the units of a robot."""
         return replace(self, units=RobotUnits.of(robot))
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Spacing of the knots [s]: as given, or the strategy's own, to two digits."""
         own = STRATEGIES[self.strategy].sample_period * self.units.time
         return self.sample_period or float(f"{own:.2g}")
 
-    @property
+    @cached_property
     def tolerances(self) -> tuple[float, float]:
         """Tolerances of position [m] and orientation [rad] where they count by themselves."""
         # An angle counts half in R^6.
@@ -201,7 +202,7 @@ class ControllerSettings:
         """Longest step of the prediction [s]: as given, or in proportion to the robot's time."""
         return self.integration_step or _INTEGRATION_STEP * self.units.time
 
-    @property
+    @cached_property
     def control_period(self) -> float:
         """Time between two solves [s]: the sample period, or less at a high control rate."""
         if self.control_rate <= 0.0:

@@ -217,10 +217,11 @@ class Controller:
         goals = self._itinerary
         if goals is None:
             return None
-        goal = current(goals.goal, time)
-        if goal is not goals.goal:
+        given = goals.goal
+        goal = current(given, time)
+        if goal is not given:
             self._itinerary = replace(
-                goals, goals=tuple(goal if one is goals.goal else one for one in goals.goals)
+                goals, goals=tuple(goal if one is given else one for one in goals.goals)
             )
         return goal
 
@@ -437,8 +438,7 @@ class Controller:
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Mode.NO_POSE, float("inf"))
-        stamp, state = newest[0], without_momentum(newest[1])
-        age = time - stamp
+        age = time - newest[0]
         if abs(age) > self._settings.pose_timeout:
             if age < 0.0:
                 # A pose from the future would make all valid ones outdated until then.
@@ -460,13 +460,14 @@ class Controller:
             estimate = self._estimator.estimate(time)
         except Exception as error:
             failure = error
-        covariance, disturbance = None, UNDISTURBED
-        if estimate is not None:
+        if estimate is None:
+            state, covariance, disturbance = without_momentum(newest[1]), None, UNDISTURBED
+        else:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
         goal = None if aim is None else aim.nearest(state, time)
-        if aim is None or goal is None or not self.enabled:
-            mode = Mode.NO_GOAL if self.enabled else Mode.DISABLED
+        if aim is None or goal is None or not self._enabled:
+            mode = Mode.NO_GOAL if self._enabled else Mode.DISABLED
             plan = self._stop(time, mode, state)
         elif estimate is None:
             mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
@@ -493,7 +494,7 @@ class Controller:
             self._progress.reset()
             return replace(decision, mode=Mode.AT_GOAL) if arrived else decision
         missing = self._progress.update(
-            time, newest[1], goal, self.speeds_at(time), decision, settings
+            time, newest[1], goal, self.speeds_at, decision, settings
         )
         if not missing:
             return decision

@@ -3,6 +3,7 @@
 """Monitors of the loop: arrival, missing progress, steps of the pose, reserve of the rotors."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -135,13 +136,14 @@ class Progress:
         self._found = ""
 
     def update(
-        self, time: float, pose: Vector, goal: Vector, speeds: Vector, decision: Decision,
-        settings: ControllerSettings,
+        self, time: float, pose: Vector, goal: Vector, speeds_at: Callable[[float], Vector],
+        decision: Decision, settings: ControllerSettings,
     ) -> str:
         """Record a sampling instant; return what there is instead of progress, empty where it is.
 
         Poses are compared once a sample period, whatever the control rate. At the sampling instant
-        `time` [s] `pose` is the newest measured state, and `speeds` are in force [rad/s].
+        `time` [s] `pose` is the newest measured state; `speeds_at` returns the rotor speeds in
+        force at a time [rad/s].
         """
         elapsed = time - self._time
         if 0.0 <= elapsed < 0.99 * settings.period:
@@ -168,7 +170,7 @@ class Progress:
         ):
             self._stand, self._rolling = _Stand(time, pose, error, goal[POSITION]), 0.0
             return ""
-        self._rolling += self._gain * _excess(speeds, decision, time) * elapsed
+        self._rolling += self._gain * _excess(speeds_at(time), decision, time) * elapsed
         waited = time - stand.since
         if waited < longest:
             return ""

@@ -30,6 +30,8 @@ class FirstOrderHold:
         Times of the knots [s], strictly increasing.
     speeds : ndarray, shape (K, 2)
         Rotor speeds at the knots [rad/s].
+    start, end : float
+        Times of the first and of the last knot [s].
 
     Raises
     ------
@@ -40,6 +42,8 @@ class FirstOrderHold:
 
     times: Vector
     speeds: Vector
+    start: float = field(init=False, repr=False)
+    end: float = field(init=False, repr=False)
     _knots: list[float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -69,7 +73,10 @@ class FirstOrderHold:
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "speeds", speeds)
         # Single values are read much faster from a list than from an array.
-        object.__setattr__(self, "_knots", times.tolist())
+        knots = times.tolist()
+        object.__setattr__(self, "_knots", knots)
+        object.__setattr__(self, "start", knots[0])
+        object.__setattr__(self, "end", knots[-1])
 
     @classmethod
     def _unchecked(cls, times: Vector, speeds: Vector) -> "FirstOrderHold":
@@ -103,16 +110,6 @@ class FirstOrderHold:
         knots = np.zeros((2, INPUT_SIZE))
         knots[0] = speeds
         return cls(times, knots)
-
-    @property
-    def start(self) -> float:
-        """Time of the first knot [s]."""
-        return self._knots[0]
-
-    @property
-    def end(self) -> float:
-        """Time of the last knot [s]."""
-        return self._knots[-1]
 
     def at(self, time: float) -> Vector:
         """Return the rotor speeds at `time` [rad/s], shape (2,)."""

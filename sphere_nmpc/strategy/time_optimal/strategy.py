@@ -4,8 +4,9 @@
 
 At a new goal the earliest arrival that a search finds is planned. What is left of the plan is
 solved again from the measured state once a sample period, and whenever something is new; the
-duration is a variable, so that a disturbance changes the time of the arrival. Once a sample period a search looks for an earlier
-one. At the goal the rotors rest; small errors are corrected by rolling, larger ones by a new plan.
+duration is a variable, so that a disturbance changes the time of the arrival. Once a sample period
+a search looks for an earlier one. At the goal the rotors rest; small errors are corrected by
+rolling, larger ones by a new plan.
 ``docs/strategy.md`` has the stability argument.
 
 With momentum the sphere rests where the rotors hold it. A goal at which they cannot is replaced by

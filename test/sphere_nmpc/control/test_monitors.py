@@ -170,7 +170,7 @@ def missing(poses: list[Vector], **settings: float) -> list[str]:
     plan = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, AT_REST), START[None, :])
     for k, pose in enumerate(poses):
         decision = Decision(Mode.TRACKING, plan, without_momentum(pose), GOAL, 0.0)
-        found.append(progress.update(0.5 * k, pose, GOAL, AT_REST, decision, chosen))
+        found.append(progress.update(0.5 * k, pose, GOAL, lambda _: AT_REST, decision, chosen))
     return found
 
 

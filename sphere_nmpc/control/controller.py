@@ -84,8 +84,7 @@ class Controller:
         self._estimator = Estimator(
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
-        self.floor: Floor | None = None
-        """What the sphere has to stay clear of; None where there is nothing."""
+        self._floor = Floor.EMPTY
         self._itinerary: Itinerary | None = None
         self._motion = GoalMotion()
         self._arrival = ArrivalDetector()
@@ -103,7 +102,7 @@ class Controller:
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
         self._situation: Situation | None = None
-        """That of the newest plan on a floor; None after a decision without one."""
+        """That of the newest plan; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
         self.failures = 0
@@ -121,6 +120,15 @@ class Controller:
         if enabled and not self._enabled:
             self._begin_anew()  # the plan leads on from where the sphere was without the stop
         self._enabled = enabled
+
+    @property
+    def floor(self) -> Floor:
+        """What the sphere has to stay clear of; set to None it is `Floor.EMPTY`."""
+        return self._floor
+
+    @floor.setter
+    def floor(self, floor: Floor | None) -> None:
+        self._floor = floor or Floor.EMPTY
 
     @property
     def estimator(self) -> Estimator:
@@ -472,7 +480,7 @@ class Controller:
             plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
-            self._situation = situation if situation.floor is not None else None
+            self._situation = situation
             saturated = plan.status is PlanStatus.SATURATED
             return Mode.SATURATED if saturated else Mode.TRACKING, plan
         except Exception as error:
@@ -483,7 +491,8 @@ class Controller:
         message = self._record(error)
         self._reset_strategy()
         commands = self._commands
-        hold = self._hold_or_rest(commands.in_force if self.floor is None else commands.stop, time)
+        rest = commands.in_force if self.floor.is_empty else commands.stop
+        hold = self._hold_or_rest(rest, time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:

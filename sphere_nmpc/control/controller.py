@@ -61,10 +61,10 @@ class _Planned:
     @property
     def is_certified(self) -> bool:
         """Whether the motion that is planned has been certified to keep clear."""
-        return self.situation.floor is not None and not self.plan.stops
+        return not self.situation.floor.is_empty and not self.plan.stops
 
     def stands(
-        self, time: float, estimate: Estimate, aim: Goal, floor: Floor | None
+        self, time: float, estimate: Estimate, aim: Goal, floor: Floor
     ) -> bool:
         """Return whether nothing is new at `time` [s], so that no other plan is wanted.
 
@@ -122,8 +122,7 @@ class Controller:
         self._estimator = Estimator(
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
-        self.floor: Floor | None = None
-        """What the sphere has to stay clear of; None where there is nothing."""
+        self._floor = Floor.EMPTY
         self._itinerary: Itinerary | None = None
         self._motion = GoalMotion()
         self._arrival = ArrivalDetector()
@@ -159,6 +158,15 @@ class Controller:
         if enabled and not self._enabled:
             self._begin_anew()  # the plan leads on from where the sphere was without the stop
         self._enabled = enabled
+
+    @property
+    def floor(self) -> Floor:
+        """What the sphere has to stay clear of; set to None it is `Floor.EMPTY`."""
+        return self._floor
+
+    @floor.setter
+    def floor(self, floor: Floor | None) -> None:
+        self._floor = floor or Floor.EMPTY
 
     @property
     def estimator(self) -> Estimator:
@@ -542,7 +550,8 @@ class Controller:
         message = self._record(error)
         self._reset_strategy()
         commands = self._commands
-        hold = self._hold_or_rest(commands.in_force if self.floor is None else commands.stop, time)
+        rest = commands.in_force if self.floor.is_empty else commands.stop
+        hold = self._hold_or_rest(rest, time)
         return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
 
     def _record(self, error: Exception) -> str:

@@ -27,10 +27,10 @@ delay, and a plan that is followed has a margin of 2.1 mm."""
 
 def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None:
     """Return a stop where the goal is refused, whatever a plan would be; None where it is not."""
-    floor = situation.floor
-    if floor is None or (refused := refusal(situation, floor)) is None:
+    refused = refusal(situation, situation.floor)
+    if refused is None:
         return None
-    lasting = refused if floor.lasting is None else refusal(situation, floor.lasting)
+    lasting = refusal(situation, situation.floor.lasting)
     plan = stop(situation, robot, "no way to the goal", refused[1])
     return replace(plan, unreachable=None if lasting is None else lasting[0])
 
@@ -38,10 +38,9 @@ def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None
 def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strategy: str) -> Plan:
     """Return a plan of a strategy with its clearance; a stop in place of one without."""
     moves = not plan.stops and bool(plan.hold.speeds.any())
-    if situation.floor is None or not moves or not math.isnan(plan.clearance):
+    if not moves or not math.isnan(plan.clearance):
         return plan
-    hold = plan.hold.delayed(-situation.time)
-    clearance = clearance_of(situation, hold, Margin.KEPT)
+    clearance = clearance_of(situation, plan.hold, Margin.KEPT)
     if not math.isnan(clearance):
         return replace(plan, clearance=clearance)
     stopped = stop(

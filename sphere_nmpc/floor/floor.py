@@ -12,11 +12,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, wraps
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sphere_nmpc.channel import SharedMemory
 from sphere_nmpc.floor.occupancy import Grid
@@ -55,8 +54,10 @@ class Floor:
     clearance: float
     kept: dict[str, Any] = field(default_factory=dict, repr=False)
     """Results of `kept_with_floor` by the names of the functions."""
+    EMPTY: ClassVar["Floor"]
+    """The floor on which nothing stands: without end, and infinitely clear everywhere."""
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[Any, ...] | str:
         """Pickle as shared memory, which another process looks at as it is."""
         grid = self.fine
         place = (grid.occupied.shape, grid.resolution, grid.origin, self.radius, self.clearance)
@@ -81,9 +82,18 @@ class Floor:
         """Least distance of the sphere's centre from what is occupied [m]."""
         return self.radius + self.clearance
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing stands on the floor, and it has no end."""
+        return False
+
+    @property
+    def lasting(self) -> "Floor":
+        """The floor without areas to keep out of, which may move: itself where there are none."""
+        return self._without_areas or self
+
     @cached_property
-    def lasting(self) -> "Floor | None":
-        """The floor without areas to keep out of, which may move; None where there are none."""
+    def _without_areas(self) -> "Floor | None":
         grid = self.grid.lasting
         return None if grid is None else Floor(grid, self.radius, self.clearance)
 
@@ -125,14 +135,29 @@ class Floor:
         inside = 0.0 <= column < width and 0.0 <= row < height
         return not inside or bool(self.grid.occupied[int(row), int(column)])
 
-    def about(self, places: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the distances of places, shape (P, 2), to what is occupied [m], but for a cell.
+    def collided(self, paths: NDArray[np.floating], least: float) -> NDArray[np.bool_]:
+        """Return from where on paths are nearer to what is occupied than allowed, shape (K, N).
 
-        They are those of the nearest corners, for many places of which most are to be discarded.
+        Parameters
+        ----------
+        paths : ndarray, shape (K, N, 2)
+            Places along N paths from the same place on [m].
+        least : float
+            Distance that they have to keep [m]; no more than the first place has. For many paths
+            of which most are to be discarded it is that of the nearest corners, but for a cell.
         """
+        # Half way between two places as well: they are further apart than a sphere from a wall.
+        at = self._about(paths)
+        np.minimum(at[1:], self._about(0.5 * (paths[1:] + paths[:-1])), out=at[1:])
+        wanted = min(least, float(at[0].min())) - self.fine.resolution
+        found: NDArray[np.bool_] = np.logical_or.accumulate(at < wanted, axis=0)
+        return found
+
+    def _about(self, places: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return the distances of the corners nearest to places, shape (..., 2) [m]."""
         distances = self.corner_distances
         height, width = distances.shape
-        columns, rows = np.rint(self.fine.local(places)).T
+        columns, rows = np.moveaxis(np.rint(self.fine.local(places)), -1, 0)
         inside = (rows >= 0.0) & (rows < height) & (columns >= 0.0) & (columns < width)
         rows, columns = (np.where(inside, at, 0.0).astype(np.intp) for at in (rows, columns))
         found: NDArray[np.float32] = distances[rows, columns] * inside
@@ -144,7 +169,40 @@ class Floor:
         No more than four times the needed one: a radius may be found to be that of a sphere three
         times as large.
         """
-        return exact_distance(self.grid, place, _REACH * self.needed)
+        return _distance(self, *place.tolist())
+
+    def least_distance(self, place: Vector) -> float:
+        """Return the lower bound of the distance of a place, shape (2,) [m]; see `distances`."""
+        return _least_distance(self, *place.tolist())
+
+
+class _EmptyFloor(Floor):
+    """Floor on which nothing stands; its answers take no time."""
+
+    def __reduce__(self) -> str:
+        return "Floor.EMPTY"
+
+    @property
+    def is_empty(self) -> bool:
+        return True
+
+    def is_occupied(self, place: Vector) -> bool:
+        return False
+
+    def distances(self, places: Vector) -> Vector:
+        return np.full(places.shape[:-1], np.inf)
+
+    def collided(self, paths: NDArray[np.floating], least: float) -> NDArray[np.bool_]:
+        return np.broadcast_to(np.bool_(False), paths.shape[:-1])
+
+    def distance(self, place: Vector) -> float:
+        return math.inf
+
+    def least_distance(self, place: Vector) -> float:
+        return math.inf
+
+
+Floor.EMPTY = _EmptyFloor(Grid(np.zeros((1, 1), dtype=bool), 1.0), 0.0, 0.0)
 
 
 @lru_cache(maxsize=1)
@@ -191,6 +249,16 @@ def kept_with_floor(most: int) -> Callable[[Callable[..., T]], Callable[..., T]]
     return decorated
 
 
+@kept_with_floor(1)  # of a goal the same at nearly every sample
+def _distance(floor: Floor, x: float, y: float) -> float:
+    return exact_distance(floor.grid, np.array((x, y)), _REACH * floor.needed)
+
+
+@kept_with_floor(2)  # of a goal and of one on the way there
+def _least_distance(floor: Floor, x: float, y: float) -> float:
+    return float(floor.distances(np.array([[x, y]]))[0])
+
+
 def finest_cell(radius: float) -> float:
     """Return the side [m] that is small enough for cells of a floor of a sphere of a radius."""
     return _CELL * radius
@@ -210,6 +278,8 @@ def corner_distances(grid: Grid) -> NDArray[np.float32]:
     padded[1:-1, 1:-1] = grid.occupied
     rows = padded[:-1] | padded[1:]
     touched = rows[:, :-1] | rows[:, 1:]
+    from scipy import ndimage  # where nothing stands it is not needed
+
     # The indices alone take a fifth of the time of the distances, which are in double precision.
     i, j = ndimage.distance_transform_edt(~touched, return_distances=False, return_indices=True)
     found: NDArray[np.float32] = np.empty(touched.shape, dtype=np.float32)

@@ -65,10 +65,10 @@ class FloorSettings(OccupancySettings):
         maximum=100.0, live=True,
     )
 
-    def whole(self, radius: float) -> Floor | None:
-        """Return the floor of a sphere of a radius [m]; None without map and edge."""
+    def whole(self, radius: float) -> Floor:
+        """Return the floor of a sphere of a radius [m], empty without map and edge."""
         grid = self.layers().grid(radius)
-        return None if grid is None else Floor(grid, radius, self.clearance)
+        return Floor.EMPTY if grid is None else Floor(grid, radius, self.clearance)
 
 
 @lru_cache(maxsize=2)  # a change is checked more than once

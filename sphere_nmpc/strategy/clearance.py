@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.floor.floor import FALL, Floor, certified_distance, kept_with_floor
+from sphere_nmpc.floor.floor import FALL, Floor, certified_distance
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
@@ -57,20 +57,16 @@ class Margin(Enum):
     """Of a command that begins later than it was planned."""
 
 
-def needed_distance(situation: Situation, floor: Floor, margin: Margin) -> float:
+def needed_distance(situation: Situation, margin: Margin) -> float:
     """Return the distance [m] of the sphere's centre from what is occupied that a plan keeps.
 
     The margin is for what changes in a plan and for the error of the estimated place. A goal may
     be as near as is allowed: a plan to it has no margin that it lacks.
     """
+    floor = situation.floor
     beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation
-    there = _distance_at(floor, *situation.goal[POSITION].tolist()) - _AT_GOAL
+    there = floor.least_distance(situation.goal[POSITION]) - _AT_GOAL
     return min(situation.least_distance + beyond, max(there, situation.radius))
-
-
-@kept_with_floor(2)  # of a goal and of one on the way there the same at nearly every sample
-def _distance_at(floor: Floor, x: float, y: float) -> float:
-    return float(floor.distances(np.array([[x, y]]))[0])
 
 
 def refusal(situation: Situation, floor: Floor) -> tuple[Unreachable, str] | None:
@@ -83,7 +79,7 @@ def refusal(situation: Situation, floor: Floor) -> tuple[Unreachable, str] | Non
             "motion keeps clear"
         )
     goal, radius = situation.goal[POSITION], situation.radius
-    distance = _exact_distance_at(floor, *goal.tolist())
+    distance = floor.distance(goal)
     if distance >= max(floor.needed - _ROUNDING, radius - _VARIES):
         return None
     if distance > 0.0:
@@ -97,11 +93,6 @@ def refusal(situation: Situation, floor: Floor) -> tuple[Unreachable, str] | Non
     return Unreachable.GOAL_OUTSIDE, "the goal: it is outside of the floor"
 
 
-@kept_with_floor(1)  # the same at nearly every sample
-def _exact_distance_at(floor: Floor, x: float, y: float) -> float:
-    return floor.distance(np.array((x, y)))
-
-
 def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> float:
     """Return the clearance that the motion by a hold is certified to keep, from time 0 (now) on.
 
@@ -109,22 +100,18 @@ def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> 
     is not certified to be enough. A sphere that is nearer at the start than it has to be comes no
     nearer, and never into contact.
     """
-    floor = situation.floor
-    if floor is None:
+    if situation.floor.is_empty:  # at every sample, in no time
         return math.inf
-    needed = needed_distance(situation, floor, margin)
-    return certified(situation, hold, floor, needed) - situation.radius
+    return certified(situation, hold, needed_distance(situation, margin)) - situation.radius
 
 
-def certified(
-    situation: Situation, hold: FirstOrderHold, floor: Floor, needed: float
-) -> float:
+def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> float:
     """Return the distance [m] that a motion is certified to keep, nan if that is not enough."""
     solver = library()
     if solver is None:
-        return plain_certified(situation, hold, floor, needed)
+        return plain_certified(situation, hold, needed)
     constants, disturbance = situation.constants, situation.disturbance
-    corners, grid = floor.corner_distances, floor.fine
+    corners, grid = situation.floor.corner_distances, situation.floor.fine
     x, y, yaw = grid.origin
     # Named, so that they live until the call has ended.
     arrays = (
@@ -148,14 +135,12 @@ def _spacings(situation: Situation, hold: FirstOrderHold) -> Vector:
     return found
 
 
-def plain_certified(
-    situation: Situation, hold: FirstOrderHold, floor: Floor, needed: float
-) -> float:
+def plain_certified(situation: Situation, hold: FirstOrderHold, needed: float) -> float:
     """Do what `certified` does, on NumPy."""
     found = math.nan
     for longest in _spacings(situation, hold):
         path, lengths = sampled_path(situation, hold, float(longest))
-        distances = floor.distances(path)
+        distances = situation.floor.distances(path)
         found = certified_distance(distances, lengths, needed, situation.radius)
         is_near = distances[0] >= needed and float(np.min(distances)) < needed
         if is_near or not math.isnan(found):
@@ -217,21 +202,12 @@ def without_collisions(situation: Situation, side: Side, beyond: Vector | None =
 
     They take place at a displacement `beyond`, shape (2,) [m], if it is given.
     """
-    floor = situation.floor
-    if floor is None:
-        return side
-    needed = needed_distance(situation, floor, Margin.FOUND)
-    levels, _, count = side.states.shape
-    places: NDArray[np.floating] = side.states[:, :2].transpose(0, 2, 1)
+    paths: NDArray[np.floating] = side.states[:, :2].transpose(0, 2, 1)
     if beyond is not None:
-        places = places + beyond
-    # Half way between two knots as well, which are further apart than a sphere is from a wall.
-    between = 0.5 * (places[1:] + places[:-1])
-    at = floor.about(places.reshape(-1, 2)).reshape(levels, count)
-    np.minimum(at[1:], floor.about(between.reshape(-1, 2)).reshape(levels - 1, count), out=at[1:])
-    # Less by what `about` is inaccurate: a plan is certified afterwards.
-    wanted = min(needed, float(at[0].min())) - floor.fine.resolution
-    collided = np.logical_or.accumulate(at < wanted, axis=0)
+        paths = paths + beyond
+    collided = situation.floor.collided(paths, needed_distance(situation, Margin.FOUND))
+    if not collided.any():
+        return side
     states = side.states.copy()
     states[:, :2] = np.where(collided[:, None], np.inf, states[:, :2])
     return side._replace(states=states)
@@ -239,11 +215,10 @@ def without_collisions(situation: Situation, side: Side, beyond: Vector | None =
 
 def stop_before_contact(situation: Situation, hold: FirstOrderHold) -> str:
     """Return how a stop, from time 0 (now) on, ends in a contact; empty if it does not."""
-    floor = situation.floor
-    if floor is None:
+    if situation.floor.is_empty:
         return ""
     path, lengths = sampled_path(situation, hold, float(_spacings(situation, hold)[-1]))
-    touched = np.flatnonzero(floor.distances(path) < situation.radius)
+    touched = np.flatnonzero(situation.floor.distances(path) < situation.radius)
     if not touched.size:
         return ""
     whole, free = float(np.sum(lengths)), float(np.sum(lengths[: touched[0]]))

@@ -48,8 +48,8 @@ class Situation:
         What the goal demands of the orientation.
     goal_rate : ndarray, shape (5,)
         Rate of change of the goal, an error of a pose by time [m/s, rad/s]; 0 where it stands.
-    floor : Floor or None
-        What the sphere has to stay clear of; None where there is nothing.
+    floor : Floor
+        What the sphere has to stay clear of; `Floor.EMPTY` where there is nothing.
     place_deviation : float
         Standard deviation of the error of the position [m].
     in_force : FirstOrderHold or None
@@ -69,24 +69,23 @@ class Situation:
     slippery: bool = False
     orientation: Orientation = Orientation.FULL
     goal_rate: Vector = field(default_factory=lambda: STANDING)
-    floor: Floor | None = None
+    floor: Floor = Floor.EMPTY
     place_deviation: float = 0.0
     in_force: FirstOrderHold | None = None
 
     @property
     def radius(self) -> float:
         """Radius in force [m]: the larger one of built and learnt, which nothing may be within."""
-        learnt = self.constants.shell_radius
-        return learnt if self.floor is None else max(self.floor.radius, learnt)
+        return max(self.floor.radius, self.constants.shell_radius)
 
     @property
     def least_distance(self) -> float:
-        """Least distance of the sphere's centre from what is occupied [m]; 0 without a floor.
+        """Least distance of the sphere's centre from what is occupied [m].
 
         A sphere that is found to be larger than it was built uses up the clearance first, as there
         may be no other way; a goal is not refused where the learnt radius varies by less.
         """
-        return 0.0 if self.floor is None else max(self.floor.needed, self.radius)
+        return max(self.floor.needed, self.radius)
 
     @property
     def momentum(self) -> Vector:

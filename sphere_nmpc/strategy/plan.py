@@ -74,8 +74,8 @@ class Plan:
     motion : int
         Number of the motion that it is the rest of; 0 where none was planned.
     clearance : float
-        Clearance that it is certified to keep from what is on the floor [m]; nan where nothing is,
-        or no motion is planned.
+        Clearance that it is certified to keep from what is on the floor [m], infinite where
+        nothing is; nan where no motion is planned.
     beyond : float
         Length of the way from its end to the goal [m], where it ends on the way there.
     until : float

@@ -113,10 +113,10 @@ def come_to_rest(
 
 
 def stop(situation: Situation, robot: RobotParameters, message: str, given_up: str = "") -> Plan:
-    """Return a plan to rest, where anything is on the floor on the path in force."""
+    """Return a plan to rest on the path in force, which what is on the floor is clear of."""
     status, in_force = PlanStatus.RAMP_TO_REST, situation.in_force
     moving = bool(np.any(situation.input_in_force)) and is_small(situation)
-    if situation.floor is None or in_force is None or not moving:
+    if in_force is None or not moving:
         plan = come_to_rest(situation, robot, message, status)
         return replace(plan, given_up=given_up)
     in_force = in_force.starting_at(situation.time, situation.input_in_force)

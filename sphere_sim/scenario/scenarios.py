@@ -186,7 +186,7 @@ def _quaternion(rotation: "Rotation") -> Vector:
 
 
 def draw_scenarios(
-    number: int, seed: int, kind: str = "anywhere", floor: Floor | None = None
+    number: int, seed: int, kind: str = "anywhere", floor: Floor = Floor.EMPTY
 ) -> list[Scenario]:
     """Return random scenarios of one of the kinds in `DRAWS`.
 
@@ -199,7 +199,7 @@ def draw_scenarios(
         rng = np.random.default_rng([seed, i])
         start, goal = DRAWS[kind](rng)
         of_run = int(rng.integers(2**31))
-        if floor is not None:
+        if not floor.is_empty:
             in_place = np.array_equal(start[POSITION], goal[POSITION])
             start[POSITION] = _clear_place(rng, floor)
             goal[POSITION] = start[POSITION] if in_place else _clear_place(rng, floor)

@@ -66,7 +66,7 @@ def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> d
         "code": code_digest(),
     }
     floor, _ = floor_of(conditions.floor, conditions.robot.shell_radius)
-    if floor is not None:
+    if not floor.is_empty:
         about = json.dumps([floor.grid.resolution, floor.grid.origin, floor.grid.occupied.shape])
         content["map"] = _digest([about.encode(), np.packbits(floor.grid.occupied).tobytes()])
     # Through JSON and back, so that it equals what is read from a file.

@@ -33,13 +33,13 @@ _ROUNDING = 1e-9
 
 
 @lru_cache(maxsize=1)
-def floor_of(settings: FloorSettings, radius: float) -> tuple[Floor, Walls] | tuple[None, None]:
+def floor_of(settings: FloorSettings, radius: float) -> tuple[Floor, Walls | None]:
     """Return the floor of a sphere of a radius [m] and its walls, the same ones for all runs.
 
     `InvalidMapError` is raised if the map file cannot be used.
     """
     floor = settings.whole(radius)
-    return (None, None) if floor is None else (floor, walls_of(floor.grid))
+    return floor, None if floor.is_empty else walls_of(floor.grid)
 
 
 def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:

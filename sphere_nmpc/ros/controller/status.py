@@ -113,7 +113,7 @@ class ControllerStatus:
             "smallest_singular_value": self._controllability.smallest_singular_value,
             "pose_delay_s": controller.rotor_feedback.poses.delay,
             "pose_loss": controller.rotor_feedback.poses.loss,
-            **({} if controller.floor is None else {"clearance_m": plan.clearance}),
+            **({} if controller.floor.is_empty else {"clearance_m": plan.clearance}),
         }
 
     def goal_values(self, decision: Decision | None, time: float) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def _line(
     situation: Situation, floor: Floor, path: Vector, solver: ArrivalSolver
 ) -> tuple[FirstOrderHold, Situation] | None:
     """Return the line that gains the most room for its time, and the situation at its end."""
-    place, needed = situation.state[POSITION], needed_distance(situation, floor, Margin.STRAIGHT)
+    place, needed = situation.state[POSITION], needed_distance(situation, Margin.STRAIGHT)
     away = np.linalg.norm(path - place, axis=1)
     lengths = floor.radius * np.array(_LENGTHS)
     on_path = [path[int(np.argmax(away >= length))] for length in lengths if away[-1] > length]

@@ -97,7 +97,7 @@ class Arrival:
     to_go : float
         Time from there to the final goal [s], where the one of the plan is on the way to it.
     clearance : float
-        Clearance that the motion is certified to keep [m]; nan where nothing is on the floor.
+        Clearance that the motion is certified to keep [m]; nan where it is not known.
     """
 
     hold: FirstOrderHold

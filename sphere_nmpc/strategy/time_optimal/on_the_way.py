@@ -74,7 +74,7 @@ def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
     After `fruitless` searches it is nearer each time.
     """
     place, goal = situation.state[POSITION], situation.goal[POSITION]
-    needed = needed_distance(situation, floor, Margin.FOUND)
+    needed = needed_distance(situation, Margin.FOUND)
     near = 0.5**fruitless
     straight = float(np.linalg.norm(goal - place))
     # Before the ways are computed, which takes as long as a search on a large floor.
@@ -121,7 +121,7 @@ def aimed(situation: Situation, floor: Floor, fruitless: int) -> Aim:
 def detour_to_goal(situation: Situation, floor: Floor) -> float:
     """Return by how much the way to the goal is longer than the straight line [m]; 0 in sight."""
     place, goal = situation.state[POSITION], situation.goal[POSITION]
-    needed = needed_distance(situation, floor, Margin.KEPT)
+    needed = needed_distance(situation, Margin.KEPT)
     if in_sight(floor, place, goal[None, :], needed)[0]:
         return 0.0
     way = way_of(situation, floor)
@@ -152,7 +152,7 @@ def rolled_straight(
     targets = np.array([
         [np.interp(length, away, path[:, axis]) for axis in (0, 1)] for length in lengths
     ])
-    needed = needed_distance(situation, floor, Margin.STRAIGHT)
+    needed = needed_distance(situation, Margin.STRAIGHT)
     seen = targets[in_sight(floor, place, targets, needed)]
     best, least = None, math.inf
     speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed

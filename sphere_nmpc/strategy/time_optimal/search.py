@@ -50,10 +50,8 @@ _TIME_OF_ERROR = 2.5
 """Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
 _PROMISING = 1.1
 """Sum of duration and delay [of the best arrival] up to which a trial is polished."""
-_FLOOR_ROUNDS = 4
-"""Rounds on a floor in which an earlier arrival is searched for."""
-_CHECK_WORK = 200
-"""Work of the certificate that a motion keeps clear of what is on the floor."""
+_ROUNDS = 4
+"""Rounds at most in which an earlier arrival is searched for, while guesses collide."""
 _REACHED, _REACHED_SHARE = 0.05, 0.1
 """Terminal error [-], and share of that at the start, below which a polished arrival is solved to
 the end."""
@@ -104,6 +102,8 @@ class ArrivalSearch:
         self.work = 0
         """Work so far, in microseconds or so."""
         self._deadline = np.inf
+        self._collided = False
+        """Whether a trial of the last round did not keep clear of what is on the floor."""
 
     def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
         """Search for an earlier arrival.
@@ -130,18 +130,18 @@ class ArrivalSearch:
     def improve_once(self, deadline: float = np.inf) -> Arrival | None:
         """Search for one round, or until the deadline; see `improve`.
 
-        On a floor, where many guesses collide, it is a few rounds, or until one finds something.
+        Where guesses collide it is a few rounds, or until one finds something.
         """
         self._deadline = deadline
         if self.best is not None:
             for _ in self._finished(self.best, added=self._turns):
                 pass
         known = self.best
-        for _ in range(1 if self._situation.floor is None else _FLOOR_ROUNDS):
+        for _ in range(_ROUNDS):
             for _ in self._round(1.0):
                 if time.perf_counter() > deadline:
                     return self.best
-            if self.best is not known:
+            if self.best is not known or not self._collided:
                 break
         return self.best
 
@@ -159,6 +159,7 @@ class ArrivalSearch:
             trials.append(self._counted(self._solver.trial(self._near, guess.goal, hold)))
             yield
         clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
+        self._collided = len(clear) < len(trials)
         survivors = islice(_different(clear, self._promise), settings.polished)
         longest, polished = np.inf, list[Arrival]()
         if self.best is not None:
@@ -219,14 +220,11 @@ class ArrivalSearch:
 
     def _is_clear(self, arrival: Arrival) -> bool:
         """Return whether a motion to the goal keeps clear of what is on the floor."""
-        if self._situation.floor is None:
-            return True
-        self.work += _CHECK_WORK
         return is_clear(self._situation, arrival.hold, Margin.FOUND)
 
     def _is_trial_clear(self, arrival: Arrival) -> bool:
         """Return whether a motion to the near goal keeps clear with the turns that it lacks."""
-        if self._turns and self._situation.floor is not None:
+        if self._turns:
             longer = self._turns * self._rolling.turn_time
             hold = with_turns(arrival.hold, longer, self._drives.limit)
             arrival = replace(arrival, hold=hold)

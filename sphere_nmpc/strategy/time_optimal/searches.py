@@ -103,7 +103,7 @@ class SearchTask:
         """Return the earliest arrival that is found, but for the one that is known."""
         solver, end = solver_for(self.robot, self.tuning), time.perf_counter() + self.longest
         floor = self.situation.floor
-        if floor is not None and self.known is None:
+        if not floor.is_empty and self.known is None:
             return self._on_the_way(solver, floor, end)
         start: Arrival | None = None
         if self.known is not None:
@@ -112,7 +112,7 @@ class SearchTask:
             )
             if start.error > self.tuning.arrival_error:
                 return None
-        detour = 0.0 if floor is None else detour_to_goal(self.situation, floor)
+        detour = 0.0 if floor.is_empty else detour_to_goal(self.situation, floor)
         search = ArrivalSearch(solver, self.situation, self.seed, start, detour)
         if start is None:
             return search.improve(self.effort, end)

@@ -185,16 +185,14 @@ class Following:
             if arrival.error <= wanted or time.perf_counter() > deadline:
                 break
             hold = arrival.hold
-        arrival = replace(arrival, to_go=self.arrival.to_go)
-        if situation.floor is not None:
+        clearance = clearance_of(situation, arrival.hold, Margin.KEPT)
+        if math.isnan(clearance):
+            # What remains of a plan that kept clear may still do so as it is.
+            arrival = self.arrival.followed(situation, self.rest(now))
             clearance = clearance_of(situation, arrival.hold, Margin.KEPT)
             if math.isnan(clearance):
-                # What remains of a plan that kept clear may still do so as it is.
-                arrival = self.arrival.followed(situation, self.rest(now))
-                clearance = clearance_of(situation, arrival.hold, Margin.KEPT)
-                if math.isnan(clearance):
-                    return None
-            arrival = replace(arrival, clearance=clearance)
+                return None
+        arrival = replace(arrival, to_go=self.arrival.to_go, clearance=clearance)
         rests = max(dead_band, settings.leaving_error)
         return replace(self, arrival=arrival, planned_at=now, reaches=arrival.error <= rests)
 

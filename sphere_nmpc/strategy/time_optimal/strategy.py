@@ -155,10 +155,10 @@ class TimeOptimalStrategy:
         situation = self._with_member(situation)
         if self._is_other_goal(situation):
             self._forget_goal()
-            self._no_way = ""
-            if situation.floor is not None and isinstance(self._state, Searching):
+            if isinstance(self._state, Searching) and (self._no_way or self._state.fruitless):
                 self._state = Searching()
                 self._searches.cancel()
+            self._no_way = ""
         self._last = situation
         self._use_attained(situation)
         situation = self._aimed(situation)
@@ -199,20 +199,16 @@ class TimeOptimalStrategy:
             plan = come_to_rest(situation, robot, "saturated", status)
             return dataclasses.replace(plan, given_up=SATURATED)
         plan = self._stop(situation)
-        floor = situation.floor
         if self._no_way:
-            may_move = floor is None or floor.lasting is not None
+            lasts = situation.floor.lasting is situation.floor
             return dataclasses.replace(
                 plan, given_up=self._no_way, message="no way to the goal",
-                unreachable=None if may_move else Unreachable.NO_WAY,
+                unreachable=Unreachable.NO_WAY if lasts else None,
             )
-        if floor is not None:
-            hold = plan.hold.delayed(-situation.time)
-            given_up = stop_before_contact(situation, hold)
-            if not given_up and state.fruitless >= _MANY:
-                given_up = "the goal for now: no motion was found from here that keeps clear"
-            return dataclasses.replace(plan, given_up=given_up)
-        return plan
+        given_up = stop_before_contact(situation, plan.hold)
+        if not given_up and state.fruitless >= _MANY:
+            given_up = "the goal for now: no motion to it was found from here"
+        return dataclasses.replace(plan, given_up=given_up)
 
     def _stop(self, situation: Situation) -> Plan:
         return stop(situation, self._robot, "no arrival found yet")
@@ -431,6 +427,6 @@ class TimeOptimalStrategy:
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
         if goal is not situation.goal:
             situation = dataclasses.replace(situation, goal=goal)
-        if situation.floor is not None:
+        if not situation.floor.is_empty:
             return situation  # a search finds the way to it
         return self._goals.aim(situation, left, found_none)

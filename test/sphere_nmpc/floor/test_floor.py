@@ -4,6 +4,7 @@
 
 import gc
 import math
+import pickle
 import socket
 import weakref
 
@@ -154,7 +155,7 @@ def test_a_floor_is_freed_with_all_that_was_kept_with_it() -> None:
                               np.zeros(2), RobotParameters().lumped, floor=floor)
         assert way_to(floor, goal) is way_to(floor, goal)
         refusal(situation, floor)
-        needed_distance(situation, floor, Margin.FOUND)
+        needed_distance(situation, Margin.FOUND)
         assert len(floor.kept) == 3
         freed = weakref.ref(floor)
         del floor, situation
@@ -232,6 +233,14 @@ def test_a_way_around_a_wall_is_about_as_long_as_the_shortest() -> None:
     assert way.length(np.array([1.0, 1.0])) >= length - 0.03
     # It is not dearer to begin in another place on it.
     assert way.length(path[len(path) // 2]) < 0.7 * way.length(np.array([1.0, 1.0]))
+
+
+def test_the_empty_floor_is_clear_everywhere_and_the_same_object_in_another_process() -> None:
+    empty, places = Floor.EMPTY, np.array([[0.0, 0.0], [1e6, -1e6]])
+    assert pickle.loads(pickle.dumps(empty)) is empty and empty.lasting is empty
+    assert empty.distances(places).tolist() == [math.inf, math.inf]
+    assert not empty.is_occupied(places[1]) and math.isinf(empty.distance(places[1]))
+    assert not empty.collided(places[:, None], 1.0).any()
 
 
 def test_no_way_out_of_a_closed_room() -> None:

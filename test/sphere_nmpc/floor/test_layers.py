@@ -145,7 +145,7 @@ def map_file(folder: Path) -> Path:
 
 
 def test_settings_make_the_whole_floor(tmp_path) -> None:
-    assert FloorSettings().whole(RADIUS) is None
+    assert FloorSettings().whole(RADIUS).is_empty
     settings = FloorSettings(map_file=str(map_file(tmp_path)), clearance=0.1)
     floor = settings.whole(RADIUS)
     assert floor is not None and floor.needed == pytest.approx(0.4)

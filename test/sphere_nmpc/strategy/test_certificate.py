@@ -105,9 +105,9 @@ def rolled(way: float, back: bool = True) -> FirstOrderHold:
 def both(situation: Situation, hold: FirstOrderHold) -> float:
     """The distance that is certified, which both certificates have to agree on."""
     assert situation.floor is not None
-    needed = needed_distance(situation, situation.floor, Margin.KEPT)
-    found = certified(situation, hold, situation.floor, needed)
-    plain = plain_certified(situation, hold, situation.floor, needed)
+    needed = needed_distance(situation, Margin.KEPT)
+    found = certified(situation, hold, needed)
+    plain = plain_certified(situation, hold, needed)
     np.testing.assert_allclose(found, plain, rtol=1e-9)
     return found
 
@@ -189,7 +189,7 @@ def test_one_radius_is_asked_for_everywhere() -> None:
     smaller = replace(situation, constants=replace(ROBOT.lumped, shell_radius=0.2))
     assert (larger.radius, smaller.radius) == (0.36, RADIUS)
     assert (larger.least_distance, smaller.least_distance) == (0.36, floor.needed)
-    assert needed_distance(larger, floor, Margin.SENT) == 0.36
+    assert needed_distance(larger, Margin.SENT) == 0.36
     still = FirstOrderHold(np.array([0.0, 1.0]), np.zeros((2, 2)))
     apart = clearance_of(situation, still, Margin.KEPT) - clearance_of(larger, still, Margin.KEPT)
     assert apart == pytest.approx(0.06)

@@ -423,8 +423,8 @@ def test_the_compiled_certificate_is_the_plain_one() -> None:
         times = np.cumsum(rng.uniform(0.05, 0.5, 5)) - 0.05
         hold = FirstOrderHold(times - times[0], rng.uniform(-60.0, 60.0, (5, 2)))
         situation = Situation(0.0, state, state[:6], np.zeros(2), ROBOT.lumped, floor=floor)
-        compiled = certified(situation, hold, floor, floor.needed)
-        plain = plain_certified(situation, hold, floor, floor.needed)
+        compiled = certified(situation, hold, floor.needed)
+        plain = plain_certified(situation, hold, floor.needed)
         np.testing.assert_allclose(compiled, plain, rtol=1e-9)
         found.append(compiled)
     assert 40 < np.isnan(found).sum() < 160

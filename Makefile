@@ -63,7 +63,8 @@ endef
 
 # The last ones decide the compiled solver, which the installation builds.
 $(VENV)/.stamp: setup.py requirements/lock.txt $(wildcard sphere_nmpc/solver/native/*.[ch] \
-		sphere_nmpc/model/*.py) sphere_nmpc/solver/native/codegen.py sphere_nmpc/solver/native/layout.py
+		sphere_nmpc/model/*.py) sphere_nmpc/solver/native/codegen.py sphere_nmpc/solver/native/layout.py \
+		sphere_nmpc/solver/problem.py
 	$(new_venv)
 	@echo "$(@D), 1 of 2: ROS 2, CasADi, SciPy, MuJoCo, viser, test tools ..., once:"
 	@echo "  350 MB to download, 1.3 GB on disk, a minute and the download"

@@ -45,6 +45,7 @@ DEPENDS = [
     *sorted(glob("sphere_nmpc/solver/native/*.[ch]") + glob("sphere_nmpc/model/*.py")),
     "sphere_nmpc/solver/native/codegen.py",
     "sphere_nmpc/solver/native/layout.py",
+    "sphere_nmpc/solver/problem.py",
 ]
 """What decides the compiled solver; the Makefile has the same list."""
 FLAGS = [

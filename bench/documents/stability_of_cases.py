@@ -17,8 +17,8 @@ from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityRep
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector, make_state
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings
+from sphere_nmpc.solver.solve import solve
 from sphere_sim.benchmark.problem import paper_problem, shifted
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -34,7 +34,7 @@ _DRAWN = 12
 
 def reports(start: Vector, goal: Vector) -> list[StabilityReport]:
     """Return the monitor's reports along Algorithm 1 between two states, (6,), one a sample."""
-    solver = HoldSolver(SolverSettings(max_iterations=_SETTINGS.max_iterations))
+    limits = SolverSettings(max_iterations=_SETTINGS.max_iterations)
     plant, monitor = RollingPlant(_ROBOT, start), StabilityMonitor()
     guess: Vector = np.zeros((_SETTINGS.horizon, INPUT_SIZE))
     speeds, found = np.zeros(INPUT_SIZE), []
@@ -42,7 +42,7 @@ def reports(start: Vector, goal: Vector) -> list[StabilityReport]:
     for k in range(_STEPS):
         state = plant.state
         problem = paper_problem(state, goal, speeds)
-        solution = solver.solve(replace(problem, max_step=_SETTINGS.longest_step), guess)
+        solution = solve(replace(problem, max_step=_SETTINGS.longest_step), guess, limits)
         sample = Sample(
             time=k * _SETTINGS.period, state=state, goal=goal,
             # The problem is over beta and lacks the stage cost of the state itself.

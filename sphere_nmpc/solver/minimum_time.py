@@ -32,10 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.plain import Motion, shoot_knots, tilt
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.plain import Motion, shoot_knots
+from sphere_nmpc.solver.problem import MinimumTimeProblem, Solution, SolverSettings, SolveStatus
 
 ROWS = 8
 """Residuals of the terminal error."""
@@ -81,9 +80,11 @@ class Point:
     states: Vector
 
 
-def expand_error(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> Point:
+def expand_error(problem: MinimumTimeProblem, v: Vector, stretch: float = 1.0) -> Point:
     """Return merit, terminal error and its derivatives at scaled knots v, shape (2 N,)."""
-    inputs, motion = shoot_knots(problem, v, stretch)
+    left_out = np.zeros(problem.intervals)
+    left_out[problem.steady_interval] = problem.whole_turns
+    inputs, motion = shoot_knots(problem, v, left_out, stretch)
     duration = stretch * float(np.sum(problem.durations))
     error, by_inputs, by_stretch = _terminal_error(problem, inputs, motion, duration)
     by_knots = problem.input_scale * by_inputs
@@ -93,7 +94,7 @@ def expand_error(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> Point
 
 
 def _terminal_error(
-    problem: HoldProblem, inputs: Vector, motion: Motion, duration: float
+    problem: MinimumTimeProblem, inputs: Vector, motion: Motion, duration: float
 ) -> tuple[Vector, Vector, Vector]:
     """Return the error, (8,), with its derivatives by u_1 ... u_N, (8, 2 N), and by stretch."""
     end, momentum = motion.states[-1], motion.states[-1, MOMENTUM]
@@ -106,8 +107,7 @@ def _terminal_error(
     turn = np.array([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
     turn *= problem.turn_weights[:, None]
     error[2:5], by_end[2:5, QUATERNION] = turn @ end[QUATERNION], turn
-    undisturbed = is_zero(problem.state[MOMENTUM], problem.disturbance)
-    if not undisturbed:
+    if problem.disturbed:
         hold = rotation.matrix(goal[QUATERNION])[:, :2].T / problem.input_scale
         error[5:7] = inputs[-1] / problem.input_scale - hold @ momentum
         by_end[5:7, MOMENTUM], by_last[5:7] = -hold, np.eye(2) / problem.input_scale
@@ -118,15 +118,22 @@ def _terminal_error(
     by_stretch = by_end @ motion.by_stretch[-1]
     by_stretch[:2] -= scale * moved
     steady = problem.steady_interval
-    if steady > 0 and undisturbed:
-        value, by_turn = tilt(problem.steady_axis, motion.states[steady, QUATERNION])
-        error[7] = value[0]
-        by_knots[7] = by_turn[0] @ motion.derivatives[steady, QUATERNION]
-        by_stretch[7] = by_turn[0] @ motion.by_stretch[steady, QUATERNION]
+    if steady > 0 and not problem.disturbed:
+        error[7], by_turn = _tilt(problem.steady_axis, motion.states[steady, QUATERNION])
+        by_knots[7] = by_turn @ motion.derivatives[steady, QUATERNION]
+        by_stretch[7] = by_turn @ motion.by_stretch[steady, QUATERNION]
     return error, by_knots, by_stretch
 
 
-def _fixed(problem: HoldProblem) -> NDArray[np.bool_]:
+def _tilt(axis: Vector, quaternion: Vector) -> tuple[float, Vector]:
+    """Return the tilt of the axis and its derivative by the quaternion, shape (4,)."""
+    (a, b), (w, x, y, z) = axis, quaternion
+    value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))
+    by_quaternion = (b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y)
+    return value, 2.0 * np.array(by_quaternion)
+
+
+def _fixed(problem: MinimumTimeProblem) -> NDArray[np.bool_]:
     """Return which scaled knots the bounds fix, shape (2 N,)."""
     return np.asarray(problem.lower >= problem.upper).ravel()
 
@@ -143,7 +150,7 @@ class _Limits:
     """Change that is allowed for each of the 2 N scaled knots at a factor of 1, a h_m / U."""
 
     @classmethod
-    def of(cls, problem: HoldProblem) -> "_Limits":
+    def of(cls, problem: MinimumTimeProblem) -> "_Limits":
         scale = problem.input_scale
         reach = problem.max_acceleration / scale * np.repeat(problem.durations, INPUT_SIZE)
         lower, upper = problem.lower.ravel() / scale, problem.upper.ravel() / scale
@@ -170,10 +177,13 @@ class _Limits:
         return v, max(1.0, float(np.max(np.abs(self.changes(v)) / self.reach)))
 
 
-def minimise_time(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
+def minimise_time(
+    problem: MinimumTimeProblem, start: Vector, settings: SolverSettings, time_budget: float
+) -> Solution:
     """Solve a minimum-time problem from an initial guess of the knots, shape (N, 2) [rad/s].
 
-    The module explains the method. `SolverSettings.initial_damping` is the first proximal weight.
+    The module explains the method. `SolverSettings.initial_damping` is the first proximal weight,
+    `time_budget` is in s.
     """
     began = time.perf_counter()
     limits, whole = _Limits.of(problem), float(np.sum(problem.durations))
@@ -189,7 +199,7 @@ def minimise_time(problem: HoldProblem, start: Vector, settings: SolverSettings)
     elif here.merit - here.stretch * whole < settings.target_cost:
         status = SolveStatus.CONVERGED
     while status is SolveStatus.CAPPED and iterations < settings.max_iterations:
-        if time.perf_counter() - began > settings.time_budget:
+        if time.perf_counter() - began > time_budget:
             status = SolveStatus.BUDGET
             break
         iterations += 1
@@ -225,13 +235,15 @@ def minimise_time(problem: HoldProblem, start: Vector, settings: SolverSettings)
     inputs = here.inputs.copy()
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
     inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
-    return HoldSolution(
+    return Solution(
         inputs, here.states, here.merit, status, iterations, residual,
         time.perf_counter() - began, here.stretch,
     )
 
 
-def _moved(problem: HoldProblem, limits: _Limits, here: Point, z: Vector, s: float) -> Point:
+def _moved(
+    problem: MinimumTimeProblem, limits: _Limits, here: Point, z: Vector, s: float
+) -> Point:
     """Return the point after a step."""
     v = np.clip(here.v + z, limits.lower, limits.upper)
     return expand_error(problem, v, here.stretch * (1.0 + s))
@@ -243,7 +255,7 @@ class _Program:
     Its variables are z, s, and by how much each residual is above and below zero.
     """
 
-    def __init__(self, problem: HoldProblem, limits: _Limits) -> None:
+    def __init__(self, problem: MinimumTimeProblem, limits: _Limits) -> None:
         self._problem, self._limits = problem, limits
         size = limits.lower.size
         self._free = ~_fixed(problem)

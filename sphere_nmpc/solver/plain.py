@@ -13,10 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.model.disturbance import Disturbance, is_zero
 from sphere_nmpc.model.integrator import steps_for, tangent_step_function
-from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSE, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
+from sphere_nmpc.solver.problem import (
+    LeastSquaresProblem,
+    Problem,
+    Solution,
+    SolverSettings,
+    SolveStatus,
+)
 
 MIN_DAMPING = 1e-12
 MAX_DAMPING = 1e12
@@ -48,13 +53,13 @@ class Motion(NamedTuple):
 
 
 def shoot(
-    state: Vector, disturbance: Disturbance, inputs: Vector, durations: Vector,
-    constants: Vector, max_step: float, left_out: Vector | None = None, derive: bool = False,
-    stretch: float = 1.0,
+    state: Vector, torques: Vector, inputs: Vector, durations: Vector, constants: Vector,
+    max_step: float, left_out: Vector | None = None, derive: bool = False, stretch: float = 1.0,
 ) -> Motion:
     """Predict the motion along a first-order hold, differentiated by the knots if asked for.
 
-    Parameters as for `sphere_nmpc.solver.roll_out.roll_out`. `left_out`, shape (N,), is the time
+    Parameters as for `sphere_nmpc.solver.roll_out.roll_out`; `torques`, shape (5,), are those of
+    the disturbance [rad/s^2]. `left_out`, shape (N,), is the time
     [s] in each interval that is not integrated, but adds to the way in proportion. `stretch` is a
     factor on all durations, which does not change the number of integration steps.
     """
@@ -62,7 +67,7 @@ def shoot(
     # Directions of an interval: quaternion and momentum at its start, its two knots, its duration.
     seeds = np.eye(_CARRIED + 5) if derive else np.zeros((_CARRIED + 5, 0))
     first, second = seeds[_CARRIED : _CARRIED + 2], seeds[_CARRIED + 2 : _CARRIED + 4]
-    step, torques = _Step(seeds.shape[1], _BY_KNOTS), disturbance.as_array()
+    step = _Step(seeds.shape[1], _BY_KNOTS)
     ends, derivatives = np.empty((n + 1, 9)), np.zeros((n + 1, 9, 2 * n))
     ends[0], by_stretch = state, np.zeros((n + 1, 9))
 
@@ -123,8 +128,8 @@ class Propagation(NamedTuple):
 
 
 def propagate(
-    state: Vector, disturbance: Disturbance, inputs: Vector, durations: Vector,
-    constants: Vector, max_step: float,
+    state: Vector, torques: Vector, inputs: Vector, durations: Vector, constants: Vector,
+    max_step: float,
 ) -> Propagation:
     """Return the end of a first-order hold with its derivatives; see `shoot`."""
     seeds = np.eye(15)
@@ -134,7 +139,7 @@ def propagate(
     dy: Vector = np.zeros((_CARRIED, 15))
     # q exp(r / 2) to first order.
     dy[:4, :3], dy[4:] = 0.5 * _right_product(y[:4])[:, 1:], seeds[3:6]
-    step, torques = _Step(15, _BY_PLANT), disturbance.as_array()
+    step = _Step(15, _BY_PLANT)
     for m, duration in enumerate(durations):
         moved, dmoved, y, dy = step.through(
             y, dy, inputs[m : m + 2], float(duration), steps_for(float(duration), max_step),
@@ -199,7 +204,7 @@ class _Step:
 
 
 class Expansion(NamedTuple):
-    """Cost of a `HoldProblem` and its Gauss-Newton model at scaled knots v = u / U.
+    """Cost of a `LeastSquaresProblem` and its Gauss-Newton model at scaled knots v = u / U.
 
     Attributes
     ----------
@@ -225,31 +230,30 @@ class Expansion(NamedTuple):
     motion: Motion
 
 
-def shoot_knots(problem: HoldProblem, v: Vector, stretch: float = 1.0) -> tuple[Vector, Motion]:
+def shoot_knots(
+    problem: Problem, v: Vector, left_out: Vector | None = None, stretch: float = 1.0
+) -> tuple[Vector, Motion]:
     """Return the inputs u_0 ... u_N at scaled knots v, (2 N,), and the motion along them."""
     inputs = np.vstack((problem.input_in_force, problem.input_scale * v.reshape(-1, INPUT_SIZE)))
-    left_out = np.zeros(problem.intervals)
-    left_out[problem.steady_interval] = problem.whole_turns
     return inputs, shoot(
-        problem.state, problem.disturbance, inputs, problem.durations, problem.constants,
+        problem.state, problem.torques, inputs, problem.durations, problem.constants,
         problem.max_step, left_out, derive=True, stretch=stretch,
     )
 
 
-def expand(problem: HoldProblem, v: Vector) -> Expansion:
+def expand(problem: LeastSquaresProblem, v: Vector) -> Expansion:
     """Return the cost, a sum of weighted squares, and its model at scaled knots v, (2 N,)."""
     inputs, motion = shoot_knots(problem, v)
     cost, gradient, hessian = 0.0, np.zeros(v.size), np.zeros((v.size, v.size))
     for weight, residual, jacobian in _residuals(problem, v, inputs, motion):
-        if weight > 0.0:
-            cost += weight * float(residual @ residual)
-            gradient += 2.0 * weight * residual @ jacobian
-            hessian += 2.0 * weight * jacobian.T @ jacobian
+        cost += weight * float(residual @ residual)
+        gradient += 2.0 * weight * residual @ jacobian
+        hessian += 2.0 * weight * jacobian.T @ jacobian
     return Expansion(v, cost, gradient, hessian, inputs, motion)
 
 
 def _residuals(
-    problem: HoldProblem, v: Vector, inputs: Vector, motion: Motion
+    problem: LeastSquaresProblem, v: Vector, inputs: Vector, motion: Motion
 ) -> list[tuple[float, Vector, Vector]]:
     """Return weight, residual and Jacobian by v of each term of the cost."""
     states, by_v = motion.states, problem.input_scale * motion.derivatives
@@ -258,49 +262,32 @@ def _residuals(
     goals = np.tile(problem.goal, (problem.intervals, 1))
     goals[:, POSITION] += np.outer(np.cumsum(problem.durations), problem.goal_velocity)
     weights = np.full(problem.intervals, problem.stage_weight)
-    weights[-1] = problem.terminal_weight
+    weights[-1] = 1.0
     terms = [
         (weight, scale * (states[m, POSE] - goals[m - 1]), scale[:, None] * by_v[m, POSE])
         for m, weight in enumerate(weights, start=1)
     ]
-    if not problem.stage_weight > 0.0:
-        row = problem.momentum_row[None]
-        terms.append(
-            (problem.terminal_weight, row @ states[-1, MOMENTUM], row @ by_v[-1, MOMENTUM])
-        )
-        paper = is_zero(problem.state[MOMENTUM], problem.disturbance)
-        if problem.steady_interval > 0 and paper:
-            m = problem.steady_interval
-            value, by_quaternion = tilt(problem.steady_axis, states[m, QUATERNION])
-            terms.append((problem.terminal_weight, value, by_quaternion @ by_v[m, QUATERNION]))
     unit = np.eye(v.size)
     reference = np.tile(problem.input_reference / problem.input_scale, problem.intervals)
     terms.append((problem.input_weight, v - reference, unit))
-    if problem.slew_weight > 0.0:
-        change = np.diff(inputs, axis=0)
-        limit = problem.max_acceleration * problem.durations[:, None]
-        excess = (change - np.clip(change, -limit, limit)).ravel() / problem.input_scale
-        difference = (unit - np.eye(v.size, k=-INPUT_SIZE)) * (excess != 0.0)[:, None]
-        terms.append((problem.slew_weight, excess, difference))
+    change = np.diff(inputs, axis=0)
+    limit = problem.max_acceleration * problem.durations[:, None]
+    excess = (change - np.clip(change, -limit, limit)).ravel() / problem.input_scale
+    difference = (unit - np.eye(v.size, k=-INPUT_SIZE)) * (excess != 0.0)[:, None]
+    terms.append((1.0, excess, difference))
     return terms
 
 
-def tilt(axis: Vector, quaternion: Vector) -> tuple[Vector, Vector]:
-    """Return the tilt of the axis, shape (1,), and its derivative by the quaternion, (1, 4)."""
-    (a, b), (w, x, y, z) = axis, quaternion
-    value = 2.0 * (a * (x * z - w * y) + b * (y * z + w * x))
-    by_quaternion = (b * x - a * y, a * z + b * w, b * z - a * w, a * x + b * y)
-    return np.array([value]), 2.0 * np.array([by_quaternion])
-
-
-def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> HoldSolution:
+def minimise(
+    problem: LeastSquaresProblem, start: Vector, settings: SolverSettings, time_budget: float
+) -> Solution:
     """Solve a problem by a projected Levenberg-Marquardt iteration.
 
     Each trial step minimises the damped Gauss-Newton model within the bounds. The damping follows
     the gain ratio (Nielsen's rule). Second derivatives of the states are left out: near a singular
     configuration of the robot they make the Hessian indefinite and a line search stall, while the
     damped model always has a descent direction. `start`, shape (N, 2), is the initial guess of the
-    knots u_1 ... u_N [rad/s]; it is clipped to the bounds.
+    knots u_1 ... u_N [rad/s]; it is clipped to the bounds. `time_budget` is in s.
     """
     began = time.perf_counter()
     lower, upper, v = (
@@ -319,7 +306,7 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
             status = SolveStatus.STALLED
         elif iterations >= settings.max_iterations:
             status = SolveStatus.CAPPED
-        elif time.perf_counter() - began > settings.time_budget:
+        elif time.perf_counter() - began > time_budget:
             status = SolveStatus.BUDGET
         if status is not None:
             break
@@ -344,7 +331,7 @@ def minimise(problem: HoldProblem, start: Vector, settings: SolverSettings) -> H
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
     inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
     elapsed = time.perf_counter() - began
-    return HoldSolution(
+    return Solution(
         inputs, here.motion.states, here.cost, status, iterations, residual, elapsed
     )
 

@@ -49,7 +49,8 @@ def roll_out(
     """
     solver = library()
     if solver is None:
-        return plain.shoot(state, disturbance, inputs, durations, constants, max_step).states
+        torques = disturbance.as_array()
+        return plain.shoot(state, torques, inputs, durations, constants, max_step).states
     n = durations.size
     kept: dict[Any, Any] = _WORKSPACES.__dict__
     workspace: _Workspace | None = kept.get(n)
@@ -73,12 +74,12 @@ def propagate(
     disturbance: Disturbance = UNDISTURBED,
 ) -> Propagation:
     """Return the end of a first-order hold with its derivatives; the arguments of `roll_out`."""
-    solver = library()
+    solver, torques = library(), disturbance.as_array()
     if solver is None:
-        return plain.propagate(state, disturbance, inputs, durations, constants, max_step)
+        return plain.propagate(state, torques, inputs, durations, constants, max_step)
     end, found = state.copy(), np.empty((8, 15))
     inputs, durations = np.ascontiguousarray(inputs), np.ascontiguousarray(durations)
-    arrays = (constants, disturbance.as_array(), durations, inputs, end, found)
+    arrays = (constants, torques, durations, inputs, end, found)
     solver.hold_propagate(durations.size, max_step, *(a.ctypes.data for a in arrays))
     return Propagation.of(end, found)
 

@@ -26,13 +26,13 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import (
-    HoldProblem,
-    HoldSolution,
+    LeastSquaresProblem,
+    Solution,
     SolverSettings,
     SolveStatus,
 )
+from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
@@ -56,16 +56,16 @@ class SignedSolutions:
 
     Attributes
     ----------
-    solution : HoldSolution
+    solution : Solution
         The one to follow.
-    other : HoldSolution or None
+    other : Solution or None
         That for the other sign; None where it was not solved for.
     followed : int
         Sign that is followed: 0 for the quaternion as given, 1 for its negative.
     """
 
-    solution: HoldSolution
-    other: HoldSolution | None
+    solution: Solution
+    other: Solution | None
     followed: int
 
     @property
@@ -79,7 +79,7 @@ class SignedSolutions:
         return (found or self.solution).inputs
 
 
-def loops(problem: HoldProblem) -> list[Vector]:
+def loops(problem: LeastSquaresProblem) -> list[Vector]:
     """Return initial guesses in which the rotor speeds run through a loop, a quarter a knot.
 
     The loops have both directions and start along either rotor's axis, in either sense: none is
@@ -127,7 +127,7 @@ class PaperStrategy:
     def change(self, settings: ControllerSettings) -> None:
         """Use other weights, horizon and cap on iterations; the warm start is kept."""
         self._settings = settings
-        self._solver = HoldSolver(SolverSettings(max_iterations=settings.max_iterations))
+        self._solver_settings = SolverSettings(max_iterations=settings.max_iterations)
 
     def reset(self) -> None:
         """Forget the warm starts and the grid of knots."""
@@ -168,7 +168,7 @@ class PaperStrategy:
         )
 
     def _best_answer(
-        self, problem: HoldProblem, times: Vector, time_budget: float
+        self, problem: LeastSquaresProblem, times: Vector, time_budget: float
     ) -> tuple[SignedSolutions, float, str]:
         """Return the solution from the warm start or better ones, their solve time and a message.
 
@@ -190,7 +190,7 @@ class PaperStrategy:
                     best, message = answer, ""
         return best, solve_time, message
 
-    def _is_stationary(self, horizon_end: float, solution: HoldSolution) -> bool:
+    def _is_stationary(self, horizon_end: float, solution: Solution) -> bool:
         """Record a solution from the warm start; return whether it is stationary off the goal.
 
         Between two knots the end of the horizon [s] stays, and so does the cost. A warm start that
@@ -204,11 +204,12 @@ class PaperStrategy:
         return stationary and cost > self._settled_cost
 
     def _solve(
-        self, problem: HoldProblem, starts: tuple[Vector, Vector], followed: int,
+        self, problem: LeastSquaresProblem, starts: tuple[Vector, Vector], followed: int,
         time_budget: float,
     ) -> SignedSolutions:
         """Solve for the goal's quaternion as it is given."""
-        return SignedSolutions(self._solver.solve(problem, starts[0], time_budget), None, 0)
+        solution = solve(problem, starts[0], self._solver_settings, time_budget)
+        return SignedSolutions(solution, None, 0)
 
     def _knot_times(self, now: float) -> Vector:
         period = self._settings.period
@@ -229,7 +230,7 @@ class PaperStrategy:
         """Return the rotor speeds that cost nothing [rad/s], shape (2,)."""
         return np.zeros(INPUT_SIZE)
 
-    def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
+    def _problem(self, situation: Situation, times: Vector) -> LeastSquaresProblem:
         settings, rest = self._settings, self._rest(situation)
         input_weight = self._input_weight_factor * settings.alpha
         needed = settings.units.max_speed + float(np.max(np.abs(rest)))
@@ -242,7 +243,7 @@ class PaperStrategy:
         lower = -upper
         upper[0] = np.minimum(np.maximum(in_force + reach, -limit), limit)
         lower[0] = np.minimum(np.maximum(in_force - reach, -limit), limit)
-        return HoldProblem(
+        return LeastSquaresProblem(
             state=without_momentum(situation.state),
             # Of a set of goals that which the last plan ends next to: the nearest one to the state
             # is another one at each sample.
@@ -255,7 +256,6 @@ class PaperStrategy:
             lower=lower,
             upper=upper,
             input_scale=limit,
-            terminal_weight=1.0,
             stage_weight=1.0 / settings.terminal_weight,
             input_weight=input_weight * limit**2 / settings.terminal_weight,
             max_step=settings.longest_step,

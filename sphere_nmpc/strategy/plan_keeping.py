@@ -21,8 +21,8 @@ from dataclasses import replace
 from sphere_nmpc.model.disturbance import after_slope, is_zero
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, flipped_sign
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.problem import LeastSquaresProblem, SolverSettings
+from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import SETTLED_COST, PaperStrategy, SignedSolutions
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -55,7 +55,7 @@ class PlanKeepingStrategy(PaperStrategy):
     def change(self, settings: ControllerSettings) -> None:
         """Use other weights, horizon and cap on iterations; the warm starts are kept."""
         super().change(settings)
-        self._solvers = plan_keeping_solvers(settings.max_iterations)
+        self._both_settings = plan_keeping_settings(settings.max_iterations)
 
     def plan(self, situation: Situation) -> Plan:
         """Solve the problem for both signs of the goal that the rotors can hold."""
@@ -73,9 +73,9 @@ class PlanKeepingStrategy(PaperStrategy):
         end, limit = self._momentum_at_end(situation), self._robot.max_rotor_speed
         return speeds_of_rest(end, situation.goal[QUATERNION], limit)
 
-    def _problem(self, situation: Situation, times: Vector) -> HoldProblem:
+    def _problem(self, situation: Situation, times: Vector) -> LeastSquaresProblem:
         problem = super()._problem(situation, times)
-        problem.state, problem.disturbance = situation.state, situation.disturbance
+        problem.state, problem.torques = situation.state, situation.disturbance.as_array()
         return problem
 
     def _momentum_at_end(self, situation: Situation) -> Vector:
@@ -84,27 +84,27 @@ class PlanKeepingStrategy(PaperStrategy):
         return after_slope(situation.momentum, situation.disturbance, duration)
 
     def _solve(
-        self, problem: HoldProblem, starts: tuple[Vector, Vector], followed: int,
+        self, problem: LeastSquaresProblem, starts: tuple[Vector, Vector], followed: int,
         time_budget: float,
     ) -> SignedSolutions:
         """Solve for both signs of the goal's quaternion."""
-        return solve_both_signs(self._solvers, problem, starts, followed, time_budget)
+        return solve_both_signs(self._both_settings, problem, starts, followed, time_budget)
 
 
-def plan_keeping_solvers(
+def plan_keeping_settings(
     max_iterations: int = PLAN_KEEPING.max_iterations,
-) -> tuple[HoldSolver, HoldSolver]:
-    """Return the solvers for the followed sign and for the other one, with a cap of both."""
+) -> tuple[SolverSettings, SolverSettings]:
+    """Return the settings for the followed sign and for the other one, with a cap of both."""
     caps = (PLAN_KEEPING.max_iterations, OTHER_SIGN_ITERATIONS)
     followed, other = (
-        HoldSolver(replace(PLAN_KEEPING, max_iterations=min(max_iterations, cap))) for cap in caps
+        replace(PLAN_KEEPING, max_iterations=min(max_iterations, cap)) for cap in caps
     )
     return followed, other
 
 
 def solve_both_signs(
-    solvers: tuple[HoldSolver, HoldSolver],
-    problem: HoldProblem,
+    settings: tuple[SolverSettings, SolverSettings],
+    problem: LeastSquaresProblem,
     starts: tuple[Vector, Vector],
     followed: int,
     time_budget: float = float("inf"),
@@ -115,16 +115,16 @@ def solve_both_signs(
     negative, (N, 2) each [rad/s]; `followed` is the sign that was followed until now, 0 or 1. Each
     of the two solves may take `time_budget` of wall time [s].
     """
-    solution = solvers[0].solve(_signed(problem, followed), starts[followed], time_budget)
+    solution = solve(_signed(problem, followed), starts[followed], settings[0], time_budget)
     if solution.cost <= SETTLED_COST:
         return SignedSolutions(solution, None, followed)
     other = 1 - followed
-    second = solvers[1].solve(_signed(problem, other), starts[other], time_budget)
+    second = solve(_signed(problem, other), starts[other], settings[1], time_budget)
     # Written so that a cost that is not a number is never followed.
     if second.cost < solution.cost or not solution.cost < float("inf"):
         return SignedSolutions(second, solution, other)
     return SignedSolutions(solution, second, followed)
 
 
-def _signed(problem: HoldProblem, sign: int) -> HoldProblem:
+def _signed(problem: LeastSquaresProblem, sign: int) -> LeastSquaresProblem:
     return replace(problem, goal=flipped_sign(problem.goal)) if sign else problem

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings
+from sphere_nmpc.solver.solve import solve
 from sphere_sim.benchmark.nlp_solvers import CasadiSolver
 from sphere_sim.benchmark.problem import HORIZON, LIMIT, paper_problem
 from sphere_sim.scenario.scenarios import draw_scenarios
@@ -19,6 +19,8 @@ STARTS = 8
 """Initial guesses of the multi-start: the common one and seven random ones."""
 
 _OFFLINE = SolverSettings(max_iterations=300)
+_JUDGED = SolverSettings(max_iterations=0)
+"""Only the cost of the initial guess is computed."""
 
 
 class Comparison:
@@ -36,7 +38,6 @@ class Comparison:
         Goals are as in `draw_scenarios`, states within 1 m of them in x and y. IPOPT starts at
         rest; `seed` is that of the problems and of the initial guesses.
         """
-        solver, judge = HoldSolver(_OFFLINE), HoldSolver(SolverSettings(max_iterations=0))
         rng = np.random.default_rng(seed)
         for scenario in draw_scenarios(number, seed):
             in_force = rng.uniform(-LIMIT, LIMIT, 2)
@@ -48,8 +49,9 @@ class Comparison:
             starts[0] = 0.0
             parameters = np.concatenate((state, scenario.goal, in_force))
             v, _ = ipopt.minimise(np.zeros(2 * HORIZON), parameters)
-            theirs = judge.solve(problem, LIMIT * np.clip(v, -1.0, 1.0).reshape(-1, 2)).cost
-            answers = [solver.solve(problem, start) for start in starts]
+            knots = LIMIT * np.clip(v, -1.0, 1.0).reshape(-1, 2)
+            theirs = solve(problem, knots, _JUDGED).cost
+            answers = [solve(problem, start, _OFFLINE) for start in starts]
             least = min(answer.cost for answer in answers)
             self.costs.append((answers[0].cost, least, theirs))
             took = [answer.solve_time for answer in answers]

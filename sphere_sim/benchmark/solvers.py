@@ -5,9 +5,9 @@
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
-from sphere_nmpc.strategy.plan_keeping import plan_keeping_solvers, solve_both_signs
+from sphere_nmpc.solver.solve import solve
+from sphere_nmpc.strategy.plan_keeping import plan_keeping_settings, solve_both_signs
 from sphere_sim.benchmark.nlp_solvers import GeneratedSqp, Slsqp, ipopt, ipopt_compiled
 from sphere_sim.benchmark.problem import HORIZON, Answer, Maker, paper_problem, shifted
 
@@ -24,7 +24,7 @@ class BothSigns:
     """Plan-keeping settings, with a warm start for each sign of the goal's quaternion."""
 
     def __init__(self) -> None:
-        self._solvers = plan_keeping_solvers()
+        self._settings = plan_keeping_settings()
 
     def start(self, goal: Vector) -> None:
         """Start a run without a warm start; see `BenchmarkedSolver`."""
@@ -36,7 +36,7 @@ class BothSigns:
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
         """Return the next rotor speeds; see `BenchmarkedSolver`."""
         problem = paper_problem(state, self._goal, input_in_force)
-        answer = solve_both_signs(self._solvers, problem, self._starts, self._followed)
+        answer = solve_both_signs(self._settings, problem, self._starts, self._followed)
         self._starts = (shifted(answer.inputs_for(0)), shifted(answer.inputs_for(1)))
         self._followed = answer.followed
         solution = answer.solution
@@ -46,9 +46,6 @@ class BothSigns:
 class AlgorithmOne:
     """Algorithm 1 of the paper: one sign of the goal's quaternion, solved to convergence."""
 
-    def __init__(self) -> None:
-        self._solver = HoldSolver(SolverSettings(max_iterations=100))
-
     def start(self, goal: Vector) -> None:
         """Start a run without a warm start; see `BenchmarkedSolver`."""
         self._goal = goal
@@ -57,7 +54,7 @@ class AlgorithmOne:
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
         """Return the next rotor speeds; see `BenchmarkedSolver`."""
         problem = paper_problem(state, self._goal, input_in_force)
-        solution = self._solver.solve(problem, self._start)
+        solution = solve(problem, self._start, SolverSettings(max_iterations=100))
         self._start = shifted(solution.inputs)
         return Answer(solution.inputs[1], solution.status not in _FAILURES)
 

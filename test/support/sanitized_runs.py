@@ -14,42 +14,48 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from compiled_solver import compiled, expand_compiled, expand_compiled_error
+from compiled_solver import compiled
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, without_momentum
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.native import library
 from sphere_nmpc.solver.native.codegen import kernel_source
 from sphere_nmpc.solver.native.layout import problem_header
-from sphere_nmpc.solver.problem import HoldProblem, SolverSettings
+from sphere_nmpc.solver.problem import (
+    LeastSquaresProblem,
+    MinimumTimeProblem,
+    Problem,
+    SolverSettings,
+)
 from sphere_nmpc.solver.roll_out import propagate, roll_out
+from sphere_nmpc.solver.solve import solve
 
 HORIZONS = (1, 2, 3, 4, 12)
 WEIGHTS: tuple[dict[str, float], ...] = (
     {"input_weight": 1e-6},
-    {"stage_weight": 0.3, "input_weight": 1e-4},
-    {"stage_weight": 1.0, "terminal_weight": 0.0},
-    {"input_weight": 1e-8, "slew_weight": 10.0, "max_acceleration": 150.0},
-    {"stage_weight": 0.3, "slew_weight": 1.0, "max_acceleration": 150.0},
+    {"input_weight": 1e-4, "stage_weight": 0.3},
+    {"input_weight": 1e-8, "max_acceleration": 150.0},
+    {"input_weight": 0.0, "stage_weight": 0.3, "max_acceleration": 150.0},
     {"error_weight": 20.0, "max_acceleration": 150.0},
 )
+"""Of problems of least squares and, the last ones, of a minimum-time problem."""
+FEW, NONE = SolverSettings(max_iterations=12), SolverSettings(max_iterations=0)
 
 DISTURBANCE = Disturbance(np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
 
 
-def make_problem(n: int, **changes: float) -> HoldProblem:
+def make_problem(n: int, **changes: float) -> Problem:
     """Return a problem of N intervals of unequal length."""
     rng = np.random.default_rng(n)
     q = rng.normal(size=(2, 4))
     q /= np.linalg.norm(q, axis=1)[:, None]
-    return HoldProblem(
-        without_momentum(np.append(rng.uniform(-1.0, 1.0, 2), q[0])),
-        np.concatenate(([0.0, 0.0], q[1])),
-        rng.uniform(-50.0, 50.0, 2), rng.uniform(0.05, 0.5, n),
-        RobotParameters().lumped.as_array(), np.full((n, 2), -100.0), np.full((n, 2), 100.0),
-        100.0, **changes,
+    kind = MinimumTimeProblem if "error_weight" in changes else LeastSquaresProblem
+    return kind(
+        state=without_momentum(np.append(rng.uniform(-1.0, 1.0, 2), q[0])),
+        goal=np.concatenate(([0.0, 0.0], q[1])), input_in_force=rng.uniform(-50.0, 50.0, 2),
+        durations=rng.uniform(0.05, 0.5, n), constants=RobotParameters().lumped.as_array(),
+        lower=np.full((n, 2), -100.0), upper=np.full((n, 2), 100.0), input_scale=100.0, **changes,
     )
 
 
@@ -59,15 +65,14 @@ def random_start(n: int) -> Vector:
 
 
 def ordinary_calls(n: int) -> None:
-    """Solve, expand and predict over N intervals with every kind of cost, and steady rolling."""
+    """Solve and predict over N intervals with every kind of cost, and steady rolling."""
     rolling = {"steady_axis": np.array([0.6, -0.8]), "whole_turns": -4.0}
     for weights, disturbance in product(WEIGHTS, (UNDISTURBED, DISTURBANCE)):
-        problem = replace(make_problem(n, **weights), disturbance=disturbance)
-        steady = (replace(problem, steady_interval=k, **rolling) for k in range(1, n))
-        for one in (problem, *steady):
-            HoldSolver(SolverSettings(max_iterations=12)).solve(one, random_start(n))
-            expand_compiled(one, random_start(n))
-            expand_compiled_error(one, random_start(n))
+        problem = replace(make_problem(n, **weights), torques=disturbance.as_array())
+        solve(problem, random_start(n), FEW)
+        if isinstance(problem, MinimumTimeProblem):
+            for k in range(1, n):
+                solve(replace(problem, steady_interval=k, **rolling), random_start(n), FEW)
         for predict in (roll_out, propagate):
             predict(
                 problem.state, random_start(n + 1), problem.durations, problem.constants,
@@ -77,21 +82,20 @@ def ordinary_calls(n: int) -> None:
 
 def edge_cases(n: int) -> None:
     """Fixed knots, numbers that are not finite, no time, no iterations, intervals of no length."""
-    solver = HoldSolver(SolverSettings(max_iterations=5))
     start = random_start(n)
     for weights in WEIGHTS:
         problem = make_problem(n, **weights)
         part = np.where(np.arange(n)[:, None] == n - 1, 0.0, problem.upper)
         for upper in (np.zeros((n, 2)), part, np.full((n, 2), np.inf)):
-            solver.solve(replace(problem, lower=-upper, upper=upper), start)
+            solve(replace(problem, lower=-upper, upper=upper), start, FEW)
         for name in ("state", "goal", "input_in_force", "durations", "constants", "lower"):
             for value in (np.nan, np.inf) if name != "durations" else (np.nan, 0.0):
                 odd = {name: np.full_like(getattr(problem, name), value)}
-                solver.solve(replace(problem, **odd), start)
+                solve(replace(problem, **odd), start, FEW)
         for value in (np.nan, np.inf, 1e300):
-            solver.solve(problem, np.full((n, 2), value))
-        solver.solve(problem, start, 0.0)
-        HoldSolver(SolverSettings(max_iterations=0)).solve(problem, start)
+            solve(problem, np.full((n, 2), value), FEW)
+        solve(problem, start, FEW, 0.0)
+        solve(problem, start, NONE)
     state, constants = problem.state, problem.constants
     inputs = np.vstack((problem.input_in_force, start))
     roll_out(state, inputs, np.zeros(n), constants, 0.1, DISTURBANCE)

@@ -87,15 +87,14 @@ static int dense_step(workspace *w, double damping, int64_t size)
     return 1;
 }
 
-/* The same with H = 2 w J^T J + D: solve with the bands, then correct by a 7 x 7 system
+/* The same with H = 2 J^T J + D: solve with the bands, then correct by a 6 x 6 system
  * (Woodbury's formula). */
 static int sparse_step(const problem *p, workspace *w, double damping, const double *states,
-                       double seventh_error, int64_t size)
+                       int64_t size)
 {
     double small[END * END], error[END], *z = w->solved;
-    for (int l = 0; l < 6; l++)
+    for (int l = 0; l < END; l++)
         error[l] = state_residual(p, states, p->intervals, l);
-    error[6] = seventh_error;
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
             w->step[i] = 0.0;
@@ -142,7 +141,7 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
     }
     for (int k = 0; k < END; k++) {
         memcpy(small + END * k, sums[k], END * sizeof(double));
-        small[(END + 1) * k] += 1.0 / (2.0 * p->terminal_weight);
+        small[(END + 1) * k] += 0.5;
         error[k] -= sums[k][END];
     }
     if (!cholesky_solve(small, END, END, error))
@@ -173,7 +172,7 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     for (int pass = 0; pass < BOUND_PASSES && any; pass++) {
         int crossed = 0;
         if (!(is_dense(p) ? dense_step(w, damping, size)
-                          : sparse_step(p, w, damping, states, seventh_residual(p, states), size)))
+                          : sparse_step(p, w, damping, states, size)))
             return 0;
         any = 0;
         for (int64_t i = 0; i < size; i++) {
@@ -209,7 +208,7 @@ static double predicted_decrease(const problem *p, const workspace *w)
             for (int l = 0; l < ROW; l++)
                 end[l] += w->rows[i * ROW + l] * w->step[i];
         for (int l = 0; l < ROW; l++)
-            square += 2.0 * p->terminal_weight * end[l] * end[l];
+            square += 2.0 * end[l] * end[l];
     }
     return -(linear + 0.5 * square);
 }

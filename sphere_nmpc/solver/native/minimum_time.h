@@ -22,6 +22,15 @@ static void body_axes(const double *q, double (*axes)[3])
     axes[1][2] = 2.0 * (q[2] * q[3] + q[0] * q[1]);
 }
 
+/* Residual of the momentum at the end, h_N, or of the tilt; 0 without either. */
+static double last_residual(const problem *p, const double *states)
+{
+    const double *row = p->momentum_row, *end = states + STATE * p->intervals + 6;
+    if (p->disturbed)
+        return row[0] * end[0] + row[1] * end[1] + row[2] * end[2];
+    return has_tilt(p) ? tilt(p, states + STATE * p->steady_interval + 2) : 0.0;
+}
+
 /* Terminal error, ROW residuals: position, vector part of q conj(q_d), speeds of rest, and the
  * momentum at the end or the tilt. */
 static void terminal_error(const problem *p, const double *inputs, const double *states, double *e)
@@ -43,7 +52,7 @@ static void terminal_error(const problem *p, const double *inputs, const double 
                         - body[c][2] * x[8])
                        / p->input_scale;
     }
-    e[7] = seventh_residual(p, states);
+    e[7] = last_residual(p, states);
 }
 
 /* Its derivatives by the scaled knots, w->rows, and by the logarithm of the duration, `b`. */
@@ -63,7 +72,7 @@ static void expand_error(const problem *p, workspace *w, double *b)
             ends[4 + k][5 + c] = -body[c][k] / p->input_scale;
         ends[4 + k][7] = p->momentum_row[k];
     }
-    terminal_rows(p, w, (const double(*)[ROW])ends, 7, b);
+    terminal_rows(p, w, (const double(*)[ROW])ends, b);
     for (int c = 0; c < 2; c++)
         b[c] -= p->position_scale * p->goal_velocity[c] * knot_time(p, p->intervals);
     if (p->disturbed)

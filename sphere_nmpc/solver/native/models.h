@@ -17,6 +17,30 @@ static inline void inputs_at(const double *u, double share, double *inputs)
     inputs[1] = u[1] + (u[3] - u[1]) * share;
 }
 
+/* Whether the tilt is a residual of a minimum-time problem: of the axis about which the sphere rolls
+ * in the interval of steady rolling, a . k at its start, k the vertical in body axes. */
+static int has_tilt(const problem *p)
+{
+    return p->steady_interval > 0 && !p->disturbed;
+}
+
+/* The tilt at quaternion `q`. */
+static double tilt(const problem *p, const double *q)
+{
+    const double *a = p->steady_axis;
+    return 2.0 * (a[0] * (q[1] * q[3] - q[0] * q[2]) + a[1] * (q[2] * q[3] + q[0] * q[1]));
+}
+
+/* Add the derivative of the tilt by the quaternion to the last of the ROW residuals. */
+static void add_tilt_row(const problem *p, const double *q, double (*sensitivity)[ROW])
+{
+    const double *a = p->steady_axis;
+    sensitivity[0][ROW - 1] += 2.0 * (a[1] * q[1] - a[0] * q[2]);
+    sensitivity[1][ROW - 1] += 2.0 * (a[0] * q[3] + a[1] * q[0]);
+    sensitivity[2][ROW - 1] += 2.0 * (a[1] * q[3] - a[0] * q[0]);
+    sensitivity[3][ROW - 1] += 2.0 * (a[0] * q[1] + a[1] * q[2]);
+}
+
 #define NAME(function) function##_undisturbed
 #define TANGENT tangent
 #define CARRIED 4 /* the quaternion */
@@ -60,11 +84,11 @@ static void shoot(const problem *p, const double *inputs, double *states, double
     (p->disturbed ? shoot_disturbed : shoot_undisturbed)(p, inputs, states, jacobians);
 }
 
-static void terminal_rows(const problem *p, workspace *w, const double (*ends)[ROW], int tilt_row,
+static void terminal_rows(const problem *p, workspace *w, const double (*ends)[ROW],
                           double *by_stretch)
 {
     (p->disturbed ? terminal_rows_disturbed : terminal_rows_undisturbed)(
-        p, w, ends, tilt_row, by_stretch);
+        p, w, ends, by_stretch);
 }
 
 static void advance_chain(const problem *p, workspace *w, int64_t m)

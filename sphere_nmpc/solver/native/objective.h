@@ -3,13 +3,12 @@
  *
  * Cost, gradient and Gauss-Newton Hessian, as in solver/plain.py.
  *
- * With a terminal cost and no stage cost the Hessian is 2 w_T J^T J of rank 7 plus D, tridiagonal
- * per rotor (input weight and slew), and is never formed. With a stage cost the matrix is formed,
- * and momentum and tilt have no cost.
+ * Without a stage cost the Hessian is 2 J^T J of rank 6 plus D, tridiagonal per rotor (input weight
+ * and acceleration), and is never formed. With a stage cost the matrix is formed.
  */
 static int is_dense(const problem *p)
 {
-    return p->stage_weight > 0.0 || !(p->terminal_weight > 0.0);
+    return p->stage_weight > 0.0;
 }
 
 static double clip(double x, double low, double high)
@@ -29,15 +28,6 @@ static double slew_excess(const problem *p, const double *inputs, int64_t i)
 static double input_excess(const problem *p, const double *v, int64_t i)
 {
     return v[i] - p->input_reference[i % 2] / p->input_scale;
-}
-
-/* Residual of the momentum at the end, h_N, or of the tilt; 0 without either. */
-static double seventh_residual(const problem *p, const double *states)
-{
-    const double *row = p->momentum_row, *end = states + STATE * p->intervals + 6;
-    if (p->disturbed)
-        return row[0] * end[0] + row[1] * end[1] + row[2] * end[2];
-    return has_tilt(p) ? tilt(p, states + STATE * p->steady_interval + 2) : 0.0;
 }
 
 /* Factor on the error of a component of the state. */
@@ -74,11 +64,7 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
         const double error = state_residual(p, states, n, k);
         terminal += error * error;
     }
-    if (!is_dense(p)) {
-        const double error = seventh_residual(p, states);
-        terminal += error * error;
-    }
-    if (p->stage_weight > 0.0)
+    if (is_dense(p))
         for (int64_t m = 1; m < n; m++)
             for (int k = 0; k < 6; k++) {
                 const double error = state_residual(p, states, m, k);
@@ -88,13 +74,11 @@ static double cost_of(const problem *p, const double *v, const double *inputs,
         const double excess = input_excess(p, v, i);
         effort += excess * excess;
     }
-    if (p->slew_weight > 0.0)
-        for (int64_t i = 0; i < 2 * n; i++) {
-            const double excess = slew_excess(p, inputs, i);
-            slew += excess * excess;
-        }
-    return p->terminal_weight * terminal + p->stage_weight * stages + p->input_weight * effort
-           + p->slew_weight * slew;
+    for (int64_t i = 0; i < 2 * n; i++) {
+        const double excess = slew_excess(p, inputs, i);
+        slew += excess * excess;
+    }
+    return terminal + p->stage_weight * stages + p->input_weight * effort + slew;
 }
 
 /* Inputs and states at scaled knots v, and the derivatives of the intervals. */
@@ -121,11 +105,9 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
     memset(w->chain, 0, (size_t)(STATE * size) * sizeof *w->chain);
     memset(w->hessian, 0, (size_t)(size * size) * sizeof *w->hessian);
     for (int64_t m = 0; m < n; m++) {
-        const double weight = 2.0 * (m == n - 1 ? p->terminal_weight : p->stage_weight);
+        const double weight = 2.0 * (m == n - 1 ? 1.0 : p->stage_weight);
         const int64_t limit = 2 * m + 2;
         advance_chain(p, w, m);
-        if (!(weight > 0.0))
-            continue;
         for (int l = 0; l < 6; l++) {
             const double *row = w->chain + l * size;
             const double by_row = weight * state_scale(p, l);
@@ -157,19 +139,18 @@ static void expand(const problem *p, workspace *w, const double *v, const double
         w->subdiagonal[i] = 0.0;
         w->partial_gradient[i] = 2.0 * p->input_weight * input_excess(p, v, i);
     }
-    if (p->slew_weight > 0.0)
-        for (int64_t i = 0; i < size; i++) {
-            const double excess = slew_excess(p, inputs, i);
-            if (excess == 0.0)
-                continue;
-            w->partial_gradient[i] += 2.0 * p->slew_weight * excess;
-            w->diagonal[i] += 2.0 * p->slew_weight;
-            if (i < 2)
-                continue;
-            w->partial_gradient[i - 2] -= 2.0 * p->slew_weight * excess;
-            w->diagonal[i - 2] += 2.0 * p->slew_weight;
-            w->subdiagonal[i] = -2.0 * p->slew_weight;
-        }
+    for (int64_t i = 0; i < size; i++) {
+        const double excess = slew_excess(p, inputs, i);
+        if (excess == 0.0)
+            continue;
+        w->partial_gradient[i] += 2.0 * excess;
+        w->diagonal[i] += 2.0;
+        if (i < 2)
+            continue;
+        w->partial_gradient[i - 2] -= 2.0 * excess;
+        w->diagonal[i - 2] += 2.0;
+        w->subdiagonal[i] = -2.0;
+    }
     memcpy(w->gradient, w->partial_gradient, (size_t)size * sizeof *w->gradient);
     if (is_dense(p)) {
         dense_states_part(p, w, states);
@@ -178,16 +159,13 @@ static void expand(const problem *p, workspace *w, const double *v, const double
     double ends[7][ROW] = {{0.0}};
     for (int k = 0; k < 4; k++)
         ends[k][2 + k] = state_scale(p, 2 + k);
-    for (int k = 0; k < 3; k++)
-        ends[4 + k][6] = p->momentum_row[k];
-    terminal_rows(p, w, (const double(*)[ROW])ends, 6, NULL);
-    double error[ROW] = {0.0};
-    for (int l = 0; l < 6; l++)
-        error[l] = 2.0 * p->terminal_weight * state_residual(p, states, p->intervals, l);
-    error[6] = 2.0 * p->terminal_weight * seventh_residual(p, states);
+    terminal_rows(p, w, (const double(*)[ROW])ends, NULL);
+    double error[END];
+    for (int l = 0; l < END; l++)
+        error[l] = 2.0 * state_residual(p, states, p->intervals, l);
     for (int64_t i = 0; i < size; i++) {
         double sum = 0.0;
-        for (int l = 0; l < ROW; l++)
+        for (int l = 0; l < END; l++)
             sum += error[l] * w->rows[i * ROW + l];
         w->gradient[i] += sum;
     }

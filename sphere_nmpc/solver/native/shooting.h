@@ -146,10 +146,10 @@ static void NAME(by_duration)(const problem *p, int64_t m, double (*column)[ROW]
 }
 
 /* rows_i = d residual / d v_i, backwards, of residuals at the end: `ends` is their derivative by
- * y_N, and that of the first two by xy_N the position's scale. The tilt is the residual `tilt_row`.
- * `by_stretch`, if not null, is the derivative by the logarithm of the stretch. */
+ * y_N, and that of the first two by xy_N the position's scale. `by_stretch`, if not null, is the derivative
+ * by the logarithm of the stretch. */
 static void NAME(terminal_rows)(const problem *p, workspace *w, const double (*ends)[ROW],
-                                int tilt_row, double *by_stretch)
+                                double *by_stretch)
 {
     const int64_t n = p->intervals;
     double sensitivity[CARRIED][ROW];
@@ -175,7 +175,7 @@ static void NAME(terminal_rows)(const problem *p, workspace *w, const double (*e
                 by_stretch[l] += p->stretch * p->durations[m] * by[l];
         }
         if (has_tilt(p) && m == p->steady_interval)
-            add_tilt_row(p, p->states + STATE * m + 2, tilt_row, sensitivity);
+            add_tilt_row(p, p->states + STATE * m + 2, sensitivity);
         for (int c = 0; c < 4; c++) {
             const int64_t i = 2 * m - 2 + c; /* the knot at the start, then the one at the end */
             if (i < 0)

@@ -17,8 +17,8 @@
 #define MIN_DAMPING 1e-12
 #define MAX_DAMPING 1e12
 #define BOUND_PASSES 4
-#define END 7 /* residuals: 6 state components at the end, and one of the momentum or the tilt */
-#define ROW 8 /* these and a right-hand side */
+#define END 6 /* components of the pose at the end */
+#define ROW 8 /* residuals of the terminal error of a minimum-time problem */
 
 static double now(void)
 {
@@ -32,7 +32,6 @@ static double now(void)
 #include "kernels.h"
 #include "quadratic_program.h"
 #include "workspace.h"
-#include "steady.h"
 #include "models.h"
 #include "objective.h"
 #include "bounded_step.h"
@@ -119,57 +118,22 @@ static void least_squares(problem *p, double began)
     }
 }
 
-void hold_solve(problem *p)
+static void solve(problem *p, void (*iterate)(problem *, double))
 {
     const double began = now();
-    (p->error_weight > 0.0 ? minimum_time : least_squares)(p, began);
+    iterate(p, began);
     /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
     for (int64_t i = 0; i < 2 * p->intervals; i++)
         p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
     p->solve_time = now() - began;
 }
 
-/* For tests of the derivatives of the minimum-time problem: error (ROW), its derivatives by the
- * scaled knots (2 N x ROW) and by the logarithm of the duration (ROW) at the initial guess. */
-void hold_expand_error(problem *p, double *error, double *rows, double *by_duration)
+void solve_least_squares(problem *p)
 {
-    workspace w;
-    prepare(p, &w);
-    merit_at(p, &w, w.v, p->inputs, p->states, error);
-    expand_error(p, &w, by_duration);
-    memcpy(rows, w.rows, (size_t)(2 * p->intervals * ROW) * sizeof *rows);
+    solve(p, least_squares);
 }
 
-/* For tests of the derivatives: cost, gradient (2 N), Hessian (2 N x 2 N) and sensitivities
- * ((N + 1) x 6 x 2 N, by scaled inputs) at the initial guess. */
-void hold_expand(problem *p, double *gradient, double *hessian, double *sensitivities)
+void solve_minimum_time(problem *p)
 {
-    workspace w;
-    const int64_t size = 2 * p->intervals, block = 6 * size;
-    prepare(p, &w);
-    p->cost = evaluate(p, w.v, p->inputs, p->states, w.interval);
-    expand(p, &w, w.v, p->inputs, p->states);
-    p->kkt_residual = projected_gradient(&w, size);
-    memcpy(gradient, w.gradient, (size_t)size * sizeof *gradient);
-    for (int64_t j = 0; j < size; j++) {
-        memset(w.step, 0, (size_t)size * sizeof *w.step);
-        w.step[j] = 1.0;
-        for (int64_t i = 0; i < size; i++) {
-            double sum;
-            if (is_dense(p)) {
-                sum = dense_product(&w, w.step, i, size);
-            } else {
-                sum = banded_product(&w, w.step, i, size);
-                for (int l = 0; l < END; l++)
-                    sum += 2.0 * p->terminal_weight * w.rows[i * ROW + l] * w.rows[j * ROW + l];
-            }
-            hessian[i * size + j] = sum;
-        }
-    }
-    memset(w.chain, 0, (size_t)(STATE * size) * sizeof *w.chain);
-    memset(sensitivities, 0, (size_t)block * sizeof *sensitivities);
-    for (int64_t m = 0; m < p->intervals; m++) {
-        advance_chain(p, &w, m);
-        memcpy(sensitivities + (m + 1) * block, w.chain, (size_t)block * sizeof *w.chain);
-    }
+    solve(p, minimum_time);
 }

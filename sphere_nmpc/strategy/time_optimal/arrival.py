@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,14 +36,23 @@ from sphere_nmpc.model.state import (
     state_error,
     without_momentum,
 )
-from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.problem import (
+    LeastSquaresProblem,
+    MinimumTimeProblem,
+    Problem,
+    Solution,
+    SolverSettings,
+    SolveStatus,
+)
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
+
+_Kind = TypeVar("_Kind", LeastSquaresProblem, MinimumTimeProblem)
 
 _REGULARISATION = 1e-12
 """Input weight of a trial that only keeps the normal equations regular."""
@@ -79,7 +89,7 @@ class Arrival:
         the sign of its quaternion.
     error : float
         Predicted terminal error, inf where it is not finite: the norm in R^6 for a trial, the sum
-        of the absolute residuals of `HoldProblem` for a minimum-time problem.
+        of the absolute residuals for a minimum-time problem.
     iterations : int
         Solver iterations used.
     kkt_residual : float
@@ -161,13 +171,10 @@ class ArrivalSolver:
         self.robot, self.grid, self.settings = robot, grid, settings
         self._max_speed = robot.max_rotor_speed
         self._acceleration = robot.max_rotor_acceleration
-        self._trial = HoldSolver(
-            SolverSettings(
-                max_iterations=settings.trial_iterations, gradient_tolerance=0.0,
-                decrease_tolerance=_LEAST_DECREASE, target_cost=_TRIAL_TARGET,
-            )
+        self._trial = SolverSettings(
+            max_iterations=settings.trial_iterations, gradient_tolerance=0.0,
+            decrease_tolerance=_LEAST_DECREASE, target_cost=_TRIAL_TARGET,
         )
-        self._fastest = HoldSolver()
 
     def trial(
         self, situation: Situation, goal: Vector, guess: FirstOrderHold, aware: bool = False
@@ -193,11 +200,12 @@ class ArrivalSolver:
         momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
         rest = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
         there = situation.goal_after(guess.end, goal)
-        problem = self._problem(situation, there, durations, self.grid.spacing)
+        problem = self._problem(
+            LeastSquaresProblem, situation, there, durations, self.grid.spacing,
+            input_weight=_REGULARISATION,
+        )
         problem.lower[-1] = problem.upper[-1] = rest
-        problem.input_weight = _REGULARISATION
-        problem.slew_weight = 1.0
-        solution = self._trial.solve(problem, knots)
+        solution = solve(problem, knots, self._trial)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
         error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
         goal = self._orientation(situation).nearest(goal, solution.states[-1])
@@ -241,9 +249,11 @@ class ArrivalSolver:
         max_step = (2.0 if coarse else 1.0) * self.grid.fine
         # A goal that moves: its place at the arrival, its orientation at the end of the guess.
         there = np.concatenate((goal[POSITION], situation.goal_after(guess.end, goal)[QUATERNION]))
-        problem = self._problem(situation, there, durations, max_step)
-        problem.goal_velocity = situation.goal_rate[POSITION]
-        problem.error_weight = factor * tuning.error_weight * self.grid.unit
+        problem = self._problem(
+            MinimumTimeProblem, situation, there, durations, max_step,
+            goal_velocity=situation.goal_rate[POSITION],
+            error_weight=factor * tuning.error_weight * self.grid.unit,
+        )
         if is_zero(situation.momentum, situation.disturbance):
             problem.lower[-1] = problem.upper[-1] = 0.0
         elif tuning.is_out_of_balance(situation) and not situation.uncertainty > 0.0:
@@ -257,10 +267,9 @@ class ArrivalSolver:
             max_iterations=iterations or tuning.iterations,
             decrease_floor=_LEAST_GAIN * self.grid.unit,
             initial_damping=(_KEEPING if kept else _FIRST_PROXIMAL) * self.grid.unit,
-            time_budget=budget,
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
-        solution = self._fastest.solve(problem, guess.speeds[1:], settings=settings)
+        solution = solve(problem, guess.speeds[1:], settings, budget)
         duration = solution.stretch * guess.end
         error = math.inf
         if _is_finite(solution):
@@ -306,7 +315,7 @@ class ArrivalSolver:
         ])
 
     def _roll_steadily(
-        self, problem: HoldProblem, rolling: SteadyRolling, guess: Vector, interval: int,
+        self, problem: MinimumTimeProblem, rolling: SteadyRolling, guess: Vector, interval: int,
         turns: int,
     ) -> None:
         """Fix the knots of `interval` to the limits that are nearest to those of the guess."""
@@ -321,16 +330,17 @@ class ArrivalSolver:
         problem.steady_axis = weight * corner / np.linalg.norm(corner)
 
     def _problem(
-        self, situation: Situation, goal: Vector, durations: Vector, max_step: float
-    ) -> HoldProblem:
-        """Return a problem with the bounds of the drives; trials use a little less of a ramp."""
+        self, kind: type[_Kind], situation: Situation, goal: Vector, durations: Vector,
+        max_step: float, **others: Any,
+    ) -> _Kind:
+        """Return a problem with the bounds of the drives, and with other fields."""
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
-        return HoldProblem(
+        return kind(
             state=situation.state, goal=goal, input_in_force=situation.input_in_force,
             durations=durations, constants=situation.constants.as_array(), lower=-upper,
             upper=upper, input_scale=self._max_speed, max_acceleration=self._acceleration,
-            max_step=max_step, disturbance=situation.disturbance,
-            turn_weights=self._orientation(situation).weights,
+            max_step=max_step, torques=situation.disturbance.as_array(),
+            turn_weights=self._orientation(situation).weights, **others,
         )
 
     def _orientation(self, situation: Situation) -> Orientation:
@@ -339,12 +349,12 @@ class ArrivalSolver:
         return situation.orientation if small else Orientation.FULL
 
 
-def _is_finite(solution: HoldSolution) -> bool:
+def _is_finite(solution: Solution) -> bool:
     return solution.status is not SolveStatus.NOT_FINITE
 
 
 def _arrival(
-    situation: Situation, problem: HoldProblem, solution: HoldSolution, goal: Vector,
+    situation: Situation, problem: Problem, solution: Solution, goal: Vector,
     error: float, work: int, turns: int = 0,
 ) -> Arrival:
     times = np.concatenate(([0.0], np.cumsum(solution.stretch * problem.durations)))

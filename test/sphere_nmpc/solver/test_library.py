@@ -2,30 +2,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled solver as it is loaded, and the memory that Python shares with it."""
 
-import ctypes
 import os
 import subprocess
 import sys
+from dataclasses import fields
 
 import numpy as np
 import pytest
 from compiled_solver import compiled
 
 from sphere_nmpc.solver.native import layout, library
-from sphere_nmpc.solver.native.layout import FIELDS, SIZE, index
+from sphere_nmpc.solver.native.layout import MEMBERS
+from sphere_nmpc.solver.problem import SolverSettings
 
 SOLVE = """
 import numpy as np
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem
-problem = HoldProblem(
-    np.array([0.3, -0.2, 1.0, 0, 0, 0, 0, 0, 0]), np.array([0, 0, 1.0, 0, 0, 0]), np.zeros(2),
-    np.full(4, 0.5), RobotParameters().lumped.as_array(), np.full((4, 2), -100.0),
-    np.full((4, 2), 100.0), 100.0, input_weight=5e-5,
+from sphere_nmpc.solver.problem import LeastSquaresProblem, SolverSettings
+from sphere_nmpc.solver.solve import solve
+problem = LeastSquaresProblem(
+    state=np.array([0.3, -0.2, 1.0, 0, 0, 0, 0, 0, 0]), goal=np.array([0, 0, 1.0, 0, 0, 0]),
+    input_in_force=np.zeros(2), durations=np.full(4, 0.5),
+    constants=RobotParameters().lumped.as_array(), lower=np.full((4, 2), -100.0),
+    upper=np.full((4, 2), 100.0), input_scale=100.0, input_weight=5e-5,
 )
-HoldSolver()
-print(f"{HoldSolver().solve(problem, np.zeros((4, 2))).cost:.9e}")
+for _ in range(2):
+    solution = solve(problem, np.zeros((4, 2)), SolverSettings())
+print(f"{solution.cost:.9e}")
 """
 
 
@@ -48,18 +51,21 @@ def test_library_that_is_missing_or_of_another_layout_is_not_used(monkeypatch, t
     with monkeypatch.context() as change, pytest.raises(OSError, match=f"{tmp_path}/solver.so"):
         change.setattr(library, "FOLDER", tmp_path)
         library._loaded()
-    monkeypatch.setattr(layout, "FIELDS", (FIELDS[1], FIELDS[0], *FIELDS[2:]))
+    monkeypatch.setattr(layout, "MEMBERS", (MEMBERS[1], MEMBERS[0], *MEMBERS[2:]))
     with pytest.raises(OSError, match="another version"):
         library._loaded()
 
 
-def test_slot_writes_each_value_to_its_own_field(make_problem):
-    problem = make_problem("stages and slew", max_step=0.07)
-    slot = library.Slot(compiled(), problem.intervals)
-    slot.write(problem, np.zeros((problem.intervals, 2)), 0.25)
-    words = np.ctypeslib.as_array((ctypes.c_double * SIZE).from_address(slot.address))
-    for field in FIELDS:
-        if field.c_type == "double" and hasattr(problem, field.name):
-            given = np.atleast_1d(getattr(problem, field.name))
-            assert np.array_equal(words[layout.span(field.name)], given), field.name
-    assert words[index("time_budget")] == 0.25
+@pytest.mark.parametrize("kind", ["stages and acceleration", "minimum time"])
+def test_slot_writes_each_value_to_its_own_place(make_problem, kind):
+    problem = make_problem(kind, max_step=0.07)
+    rng = np.random.default_rng(0)
+    start, settings = rng.normal(size=(problem.intervals, 2)), SolverSettings(7, 0.1, 0.2, 0.3)
+    slot = library.Slot(compiled(), type(problem), problem.intervals)
+    slot.solve(problem, start, settings, 0.25)
+    for given in (problem, settings):
+        for field in fields(given):
+            value = getattr(given, field.name)
+            assert np.array_equal(slot.values[field.name], value), field.name
+    assert np.array_equal(slot.values["start"], start)
+    assert slot.values["time_budget"] == 0.25

@@ -8,23 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compiled_solver import compiled, expand_compiled_error
+from compiled_solver import compiled
 from scipy.optimize import minimize
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import Disturbance, rest_speeds
+from sphere_nmpc.model.disturbance import rest_speeds
 from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.hold_solver import HoldSolver
 from sphere_nmpc.solver.minimum_time import expand_error, minimise_time
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.problem import MinimumTimeProblem, Solution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.solve import solve as solve_either
 
-WEIGHT = 100.0
 STEP = 1e-6
 """Of a scaled input; a central difference is then good to about 1e-9."""
 MOMENTUM_GIVEN = np.array([25.0, -40.0, 3.0])
 DISTURBED: dict[str, Any] = {
     "momentum": MOMENTUM_GIVEN,
-    "disturbance": Disturbance(np.array([8.0, -5.0]), np.array([3.0, 4.0, -2.0])),
+    "torques": np.array([8.0, -5.0, 3.0, 4.0, -2.0]),
     "momentum_row": np.array([0.01, -0.02, 0.015]),
     "position_scale": 2.5,
 }
@@ -44,14 +43,11 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(params=list(KINDS))
-def make(request: pytest.FixtureRequest, make_problem: Any) -> Callable[[int], HoldProblem]:
+def make(request: pytest.FixtureRequest, make_problem: Any) -> Callable[[int], MinimumTimeProblem]:
     """Return the function that makes a problem of a kind from a seed: 9 intervals to rest."""
 
-    def made(seed: int) -> HoldProblem:
-        settings = {"intervals": 9, "max_acceleration": 400.0, "error_weight": WEIGHT}
-        problem: HoldProblem = make_problem(
-            "terminal", seed, **{**settings, "input_weight": 0.0, **KINDS[request.param]}
-        )
+    def made(seed: int) -> MinimumTimeProblem:
+        problem: MinimumTimeProblem = make_problem("minimum time", seed, **KINDS[request.param])
         lower, upper = problem.lower.copy(), problem.upper.copy()
         if "disturbed" not in request.param.split(", "):
             lower[-1] = upper[-1] = 0.0
@@ -62,13 +58,19 @@ def make(request: pytest.FixtureRequest, make_problem: Any) -> Callable[[int], H
     return made
 
 
-def solve_compiled(problem: HoldProblem, start: Vector, **settings: Any) -> HoldSolution:
+def solve_compiled(
+    problem: MinimumTimeProblem, start: Vector, time_budget: float = np.inf, **settings: Any
+) -> Solution:
     assert compiled() is not None
-    return HoldSolver(SolverSettings(initial_damping=1.0, **settings)).solve(problem, start)
+    settings = {"initial_damping": 1.0, **settings}
+    return solve_either(problem, start, SolverSettings(**settings), time_budget)
 
 
-def solve_plain(problem: HoldProblem, start: Vector, **settings: Any) -> HoldSolution:
-    return minimise_time(problem, start, SolverSettings(initial_damping=1.0, **settings))
+def solve_plain(
+    problem: MinimumTimeProblem, start: Vector, time_budget: float = np.inf, **settings: Any
+) -> Solution:
+    settings = {"initial_damping": 1.0, **settings}
+    return minimise_time(problem, start, SolverSettings(**settings), time_budget)
 
 
 @pytest.fixture(params=[solve_compiled, solve_plain], ids=["compiled", "plain"])
@@ -76,7 +78,7 @@ def solve(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-def random_knots(problem: HoldProblem, seed: int = 1) -> Vector:
+def random_knots(problem: MinimumTimeProblem, seed: int = 1) -> Vector:
     knots: Vector = np.random.default_rng(seed).uniform(-90.0, 90.0, (problem.intervals, 2))
     return np.clip(knots, problem.lower, problem.upper)
 
@@ -101,30 +103,18 @@ def test_derivatives_agree_with_finite_differences(make: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_compiled_derivatives_agree(make: Any, seed: int) -> None:
-    problem = make(seed)
-    knots = random_knots(problem, seed)
-    right = expand_error(problem, knots.ravel() / problem.input_scale)
-    pairs = zip(
-        expand_compiled_error(problem, knots), (right.error, right.by_knots, right.by_stretch),
-        strict=True,
-    )
-    for found, expected in pairs:
-        np.testing.assert_allclose(found, expected, atol=1e-11, rtol=1e-11)
-
-
-@pytest.mark.parametrize("seed", range(2))
 def test_both_forms_take_the_same_steps(make: Any, seed: int) -> None:
     problem = make(seed)
-    # Few steps: their programs are solved to different tolerances.
+    # A small floor, so that both solve the program of a step, which every derivative enters.
     ours, right = (
-        each(problem, random_knots(problem), max_iterations=3, decrease_floor=1e-6)
+        each(problem, random_knots(problem, seed), max_iterations=3, decrease_floor=1e-8)
         for each in (solve_compiled, solve_plain)
     )
     assert (ours.iterations, ours.status) == (right.iterations, right.status)
-    assert ours.cost == pytest.approx(right.cost, rel=1e-4)
-    assert ours.stretch == pytest.approx(right.stretch, rel=1e-4)
-    assert np.max(np.abs(ours.inputs - right.inputs)) < 0.1
+    assert ours.cost == pytest.approx(right.cost, abs=1e-5)
+    assert ours.kkt_residual == pytest.approx(right.kkt_residual, abs=1e-5)
+    assert ours.stretch == pytest.approx(right.stretch, abs=1e-7)
+    np.testing.assert_allclose(ours.inputs, right.inputs, atol=1e-3)
 
 
 def test_solution_keeps_all_limits_and_states_its_own_cost(make: Any, solve: Any) -> None:
@@ -167,8 +157,7 @@ def test_error_vanishes_where_it_weighs_enough(make: Any) -> None:
 
 def test_duration_is_that_of_a_general_solver(make_problem: Any) -> None:
     problem = make_problem(
-        "terminal", 3, intervals=10, input_weight=0.0, max_acceleration=400.0, error_weight=WEIGHT,
-        unequal=False, input_in_force=np.zeros(2),
+        "minimum time", 3, intervals=10, unequal=False, input_in_force=np.zeros(2)
     )
     lower, upper = problem.lower.copy(), problem.upper.copy()
     lower[-1] = upper[-1] = 0.0
@@ -208,8 +197,8 @@ def test_duration_is_that_of_a_general_solver(make_problem: Any) -> None:
 
 def test_guess_that_is_too_fast_gets_more_time(make_problem: Any, solve: Any) -> None:
     problem = make_problem(
-        "terminal", 0, intervals=2, durations=np.array([0.05, 0.05]), max_acceleration=400.0,
-        error_weight=WEIGHT, input_in_force=np.array([80.0, 0.0]),
+        "minimum time", intervals=2, durations=np.array([0.05, 0.05]),
+        input_in_force=np.array([80.0, 0.0]),
     )
     lower, upper = problem.lower.copy(), problem.upper.copy()
     lower[-1] = upper[-1] = 0.0

@@ -1,18 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Derivatives of the plain solver, with which the compiled one is compared; its interrupts."""
-
+"""Derivatives of the plain solver, with which the compiled one is compared."""
 
 import numpy as np
 import pytest
-from compiled_solver import expand_compiled
 
 from sphere_nmpc.solver.plain import expand
 
 STEP = 1e-6  # of a scaled input; a central difference is then good to about 1e-9
-ROUNDING = 1e-12
-
-
 
 def test_derivatives_agree_with_finite_differences(make_problem, kind):
     problem = make_problem(kind)
@@ -27,18 +22,3 @@ def test_derivatives_agree_with_finite_differences(make_problem, kind):
         after, before = (end.motion.states for end in (ahead, behind))
         found = (after - before) / (2.0 * STEP * problem.input_scale)
         assert np.allclose(found, here.motion.derivatives[:, :, i], atol=1e-7)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_compiled_expansion_agrees(make_problem, kind, seed):
-    problem = make_problem(kind, seed)
-    knots = np.random.default_rng(seed).uniform(-100.0, 100.0, (problem.intervals, 2))
-    right = expand(problem, knots.ravel() / problem.input_scale)
-    found = expand_compiled(problem, knots)
-    scale = max(1.0, np.max(np.abs(right.hessian)))
-    assert found["cost"] == pytest.approx(right.cost, rel=ROUNDING)
-    np.testing.assert_allclose(found["states"], right.motion.states, ROUNDING, ROUNDING)
-    sensitivities = right.motion.derivatives[:, :6]
-    assert np.max(np.abs(found["sensitivities"] - sensitivities)) < ROUNDING
-    assert np.max(np.abs(found["gradient"] - right.gradient)) < ROUNDING * scale
-    assert np.max(np.abs(found["hessian"] - right.hessian)) < ROUNDING * scale

@@ -44,7 +44,8 @@ def hold(intervals, momentum):
 def test_agrees_with_the_plain_solver(momentum, disturbance):
     state, inputs, durations = hold(5, momentum)
     states = predict(state, inputs, durations, CONSTANTS, MAX_STEP, disturbance)
-    right = plain.shoot(state, disturbance, inputs, durations, CONSTANTS, MAX_STEP).states
+    torques = disturbance.as_array()
+    right = plain.shoot(state, torques, inputs, durations, CONSTANTS, MAX_STEP).states
     assert states.shape == (6, 9)
     np.testing.assert_allclose(states[:, :6], right[:, :6], atol=ROUNDING)
     np.testing.assert_allclose(states[:, 6:], right[:, 6:], atol=100.0 * ROUNDING)
@@ -55,7 +56,8 @@ def test_derivatives_are_those_of_differences_and_of_the_plain_solver(momentum, 
     state, inputs, durations = hold(3, momentum)
     assert compiled()
     found = propagate(state, inputs, durations, CONSTANTS, MAX_STEP, disturbance)
-    right = plain.propagate(state, disturbance, inputs, durations, CONSTANTS, MAX_STEP)
+    torques = disturbance.as_array()
+    right = plain.propagate(state, torques, inputs, durations, CONSTANTS, MAX_STEP)
     for ours, theirs in zip(found, right, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-10)
 

@@ -3,18 +3,20 @@
 """Algorithm 1 of the paper: problem, cost and warm start as printed, and stationary points."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from compiled_solver import expand_compiled
 from integration import integrate
 from momentum_loop import settling_time
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, make_state, without_momentum
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.hold_solver import HoldSolver
-from sphere_nmpc.solver.problem import HoldProblem, HoldSolution, SolverSettings
+from sphere_nmpc.solver.plain import expand
+from sphere_nmpc.solver.problem import LeastSquaresProblem, Solution, SolverSettings
+from sphere_nmpc.solver.solve import solve
+from sphere_nmpc.strategy import paper
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import PaperStrategy, loops
 from sphere_nmpc.strategy.plan import PlanStatus
@@ -31,24 +33,6 @@ def situation(
 ) -> Situation:
     start = PAPER_CASES[case].start if state is None else state
     return Situation(time, without_momentum(start), PAPER_CASES[case].goal, in_force, ROBOT.lumped)
-
-
-class RecordingSolver:
-    """Solver that records its problems and initial guesses."""
-
-    def __init__(self, strategy: PaperStrategy) -> None:
-        self._solver = strategy._solver
-        self.settings = self._solver.settings
-        strategy._solver = self  # type: ignore[assignment]
-        self.problems: list[HoldProblem] = []
-        self.starts: list[Vector] = []
-
-    def solve(
-        self, problem: HoldProblem, start: Vector, time_budget: float | None = None
-    ) -> HoldSolution:
-        self.problems.append(problem)
-        self.starts.append(start.copy())
-        return self._solver.solve(problem, start, time_budget)
 
 
 @pytest.fixture
@@ -114,11 +98,17 @@ def test_state_at_the_goal_leads_to_no_motion(strategy: PaperStrategy) -> None:
 
 
 def test_initial_guess_is_zero_at_first_and_then_the_shifted_plan_with_zeros(
-    strategy: PaperStrategy,
+    strategy: PaperStrategy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     numbers = (SETTINGS.horizon, SETTINGS.period, SETTINGS.alpha, SETTINGS.terminal_weight)
     assert numbers == (N, T, 0.5, 1e8), "of section 4"
-    recorded = RecordingSolver(strategy)
+    calls: list[Any] = []
+
+    def recorded(problem: LeastSquaresProblem, start: Vector, *others: Any) -> Solution:
+        calls.append((problem, start.copy()))
+        return solve(problem, start, *others)
+
+    monkeypatch.setattr(paper, "solve", recorded)
     plan = strategy.plan(situation())
     assert plan.status is PlanStatus.SOLVED
     np.testing.assert_allclose(plan.hold.times, T * np.arange(N + 1))
@@ -136,9 +126,9 @@ def test_initial_guess_is_zero_at_first_and_then_the_shifted_plan_with_zeros(
         np.zeros((N, 2)), np.vstack((plan.hold.speeds[2:], REST)),
         np.vstack((second.hold.speeds[3:], REST, REST)), np.zeros((N, 2)),
     )
-    for start, wanted in zip(recorded.starts, expected, strict=True):
+    for (_, start), wanted in zip(calls, expected, strict=True):
         np.testing.assert_allclose(start, wanted, atol=1e-12)
-    np.testing.assert_array_equal(recorded.problems[0].goal, PAPER_CASES[1].goal)
+    np.testing.assert_array_equal(calls[0][0].goal, PAPER_CASES[1].goal)
 
 
 def test_plan_of_a_solve_that_was_stopped_is_the_best_so_far(strategy: PaperStrategy) -> None:
@@ -149,7 +139,7 @@ def test_plan_of_a_solve_that_was_stopped_is_the_best_so_far(strategy: PaperStra
     strategy.reset()
     # Neither tolerance can be met, so that the solve ends where no step lowers the cost.
     never = SolverSettings(10_000, gradient_tolerance=0.0, decrease_tolerance=0.0)
-    strategy._solver = HoldSolver(never)
+    strategy._solver_settings = never
     plan = strategy.plan(situation())
     assert plan.status is PlanStatus.BEST_SO_FAR
     assert plan.message == "no step lowers the cost"
@@ -194,11 +184,11 @@ def test_goal_with_round_numbers_is_reached_within_a_minute(name, start, positio
 
 def test_rest_is_a_stationary_point_of_a_turn_on_the_spot_but_no_minimum(strategy) -> None:
     problem = strategy._problem(typed((0.0, 0.0), 90.0), T * np.arange(N + 1))
-    at_rest = expand_compiled(problem, np.zeros((N, 2)))
+    at_rest = expand(problem, np.zeros(2 * N))
     # The gradient is zero but for rounding of the states, of order one.
-    assert np.max(np.abs(at_rest["gradient"])) < 1e-12
+    assert np.max(np.abs(at_rest.gradient)) < 1e-12
     for guess in loops(problem):
-        assert HoldSolver().solve(problem, guess).cost < 0.1 * at_rest["cost"]
+        assert solve(problem, guess, SolverSettings()).cost < 0.1 * at_rest.cost
     assert all(np.all(np.abs(guess) <= problem.input_scale) for guess in loops(problem))
     late = replace(typed((0.0, 0.0), 90.0), time_budget=0.0)
     assert not strategy.plan(late).hold.speeds.any(), "no time for further guesses"

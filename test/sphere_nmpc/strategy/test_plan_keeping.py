@@ -11,10 +11,12 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, flipped_sign, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan_keeping import (
+    PLAN_KEEPING,
     PlanKeepingStrategy,
-    plan_keeping_solvers,
+    plan_keeping_settings,
     solve_both_signs,
 )
 from sphere_sim.evaluation.metrics import settling_index, state_errors
@@ -55,28 +57,24 @@ def test_cases_settle_in_about_half_the_time_of_the_paper(case: int, latest: flo
     assert np.abs(slopes).max() <= ROBOT.max_rotor_acceleration * (1.0 + 1e-12)
 
 
-@pytest.fixture(scope="module")
-def solvers():
-    return plan_keeping_solvers()
-
-
-def test_each_solution_aims_at_its_own_sign(solvers, make_problem):
+def test_each_solution_aims_at_its_own_sign(make_problem):
     problem = make_problem("paper", 1)
-    answer = solve_both_signs(solvers, problem, REST, 0)
+    settings = plan_keeping_settings()
+    answer = solve_both_signs(settings, problem, REST, 0)
     mirrored = solve_both_signs(
-        solvers, replace(problem, goal=flipped_sign(problem.goal)), REST, 1
+        settings, replace(problem, goal=flipped_sign(problem.goal)), REST, 1
     )
     # The same two problems, and the followed one is the same in both.
     for sign in (0, 1):
         assert np.array_equal(answer.inputs_for(sign), mirrored.inputs_for(1 - sign))
 
 
-def test_plan_that_reaches_the_goal_is_kept(solvers, make_problem):
+def test_plan_that_reaches_the_goal_is_kept(make_problem):
     """It is not replaced by one with smaller inputs that reaches the goal later."""
     problem = make_problem("paper", 2, unequal=False)
     start = np.random.default_rng(0).uniform(-80.0, 80.0, (4, 2))
     inputs = np.vstack((problem.input_in_force, start))
     end = roll_out(problem.state, inputs, problem.durations, problem.constants)[-1]
-    kept = solvers[0].solve(replace(problem, goal=end[POSE]), start)
+    kept = solve(replace(problem, goal=end[POSE]), start, PLAN_KEEPING)
     assert np.max(np.abs(kept.inputs[1:] - start)) < 5.0
     assert np.linalg.norm(kept.states[-1] - end) < 1e-2

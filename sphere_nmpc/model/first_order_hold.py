@@ -199,7 +199,13 @@ class FirstOrderHold:
 
         They are in rad/s and rad/s^2; the first knot, the speeds in force, is not changed.
         """
-        times, rows = self._knots, self.speeds.tolist()
+        speeds = self.speeds
+        reach = max_acceleration * np.diff(self.times)[:, None]
+        low, high = speeds[:-1] - reach, speeds[:-1] + reach
+        later = speeds[1:]
+        if ((low <= later) & (later <= high) & (np.abs(later) <= max_speed)).all():
+            return self
+        times, rows = self._knots, speeds.tolist()
         for i in range(1, len(times)):
             reach = max_acceleration * (times[i] - times[i - 1])
             for rotor in range(INPUT_SIZE):

@@ -15,7 +15,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.floor.way import way_to
+from sphere_nmpc.floor.route import route_to
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -237,7 +237,7 @@ def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
     loop.controller.set_goal(goal)
     loop.run(16.0)
     assert state_error(loop.pose, goal) < 1e-2
-    way = way_to(floor, goal[POSITION])
+    way = route_to(floor, goal[POSITION])
     tasks = [task for task in worker.tasks if isinstance(task, SearchTask)]
     left = [way.length(task.rested) for task in tasks if task.rested is not None]
     assert len(left) > 5

@@ -163,7 +163,7 @@ def _place_on(path: Vector, situation: Situation, fruitless: int) -> Vector:
     straight = float(np.linalg.norm(situation.goal[POSITION] - place))
     if fruitless and straight < reach:
         reach = max(_NEAREST * radius, near * straight)
-    away = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES)
+    away: Vector = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES, dtype=np.float64)
     targets = along(path, away)
     needed, farthest, chosen = needed_distance(situation, Margin.FOUND), 0.0, float(away[0])
     for room in reversed(_ROOM):

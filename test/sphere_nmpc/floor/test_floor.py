@@ -13,12 +13,12 @@ import pytest
 from scipy import ndimage
 
 from sphere_nmpc.channel import Channel, encoded
-from sphere_nmpc.floor.floor import Floor, certified_distance, exact_distance
+from sphere_nmpc.floor.floor import Floor, exact_distance
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import find_routes, plain_routes, route_to
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.strategy.clearance import Margin, needed_distance, refusal
+from sphere_nmpc.strategy.clearance import Margin, Profile, needed_distance, refusal
 from sphere_nmpc.strategy.contract import Situation
 
 RADIUS = 0.3
@@ -91,7 +91,7 @@ def test_certificate_holds_between_samples() -> None:
         chords = np.linalg.norm(np.diff(path, axis=0), axis=1)
         lengths = chords * rng.uniform(1.0, 1.5, chords.size)
         needed = rng.uniform(0.02, 0.2)
-        found = certified_distance(floor.distances(path), lengths, needed, 0.0)
+        found = Profile(path, floor.distances(path), lengths).certified(needed, 0.0)
         if math.isnan(found) or floor.distances(start)[0] < needed:
             continue
         certified += 1
@@ -113,15 +113,16 @@ def test_certificate_holds_between_samples() -> None:
 
 
 def test_certificate_of_a_start_without_clearance() -> None:
-    away = np.array([0.24, 0.241, 0.2495, 0.265, 0.27])
-    steps = np.full(4, 0.02)
-    assert certified_distance(away, steps, 0.25, 0.2) == pytest.approx(0.24)
-    falls = np.array([0.23, 0.24, 0.235, 0.255, 0.27])
-    assert math.isnan(certified_distance(falls, steps, 0.25, 0.2))
+    def certified(distances: list[float]) -> float:
+        places = np.empty((len(distances), 2))
+        steps = np.full(len(distances) - 1, 0.02)
+        return Profile(places, np.array(distances), steps).certified(0.25, 0.2)
+
+    assert certified([0.24, 0.241, 0.2495, 0.265, 0.27]) == pytest.approx(0.24)
+    assert math.isnan(certified([0.23, 0.24, 0.235, 0.255, 0.27]))
     # Once it has enough it must keep that.
-    back = np.array([0.24, 0.25, 0.26, 0.248, 0.26])
-    assert math.isnan(certified_distance(back, steps, 0.25, 0.2))
-    assert certified_distance(np.array([0.1]), np.empty(0), 0.25, 0.2) == pytest.approx(0.1)
+    assert math.isnan(certified([0.24, 0.25, 0.26, 0.248, 0.26]))
+    assert certified([0.1]) == pytest.approx(0.1)
 
 
 def test_a_floor_reaches_another_process_as_shared_memory() -> None:

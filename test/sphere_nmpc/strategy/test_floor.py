@@ -27,7 +27,7 @@ from sphere_nmpc.strategy.clearance import (
     certified,
     clearance_of,
     plain_certified,
-    sampled_path,
+    profile_of,
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus, Unreachable
@@ -156,11 +156,11 @@ def test_samples_are_no_farther_apart_than_their_bound() -> None:
     state = without_momentum(pose(0.0, 0.0))
     hold = FirstOrderHold(np.array([0.0, 0.4, 0.5, 1.1]), rng.uniform(-100, 100, (4, 2)))
     situation = Situation(0.0, state, pose(1.0, 1.0), np.zeros(2), ROBOT.lumped)
-    path, lengths = sampled_path(situation, hold, 0.005)
+    path, _, lengths = profile_of(situation, hold, 0.005)
     assert (np.linalg.norm(np.diff(path, axis=0), axis=1) <= lengths + 1e-12).all()
     assert len(path) == lengths.size + 1
     # To the end of the hold, whatever the sampling.
-    coarse, _ = sampled_path(situation, hold, 0.04)
+    coarse = profile_of(situation, hold, 0.04).places
     np.testing.assert_allclose(coarse[-1], path[-1], atol=1e-6)
 
 

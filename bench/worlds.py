@@ -14,7 +14,7 @@ import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.floor.way import way_to
+from sphere_nmpc.floor.route import route_to
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector
@@ -180,7 +180,7 @@ def draw_task(
         far = np.linalg.norm(places[1] - places[0]) > 2.0
         if not far or np.any(floor.distances(places) < floor.needed):
             continue
-        path = way_to(floor, places[1]).path(places[0])
+        path = route_to(floor, places[1]).path(places[0])
         if len(path) and floor.distances(path).min() >= floor.needed + 0.012:
             length = float(np.sum(np.linalg.norm(np.diff(_pulled(floor, path), axis=0), axis=1)))
             start, goal = (np.concatenate((place, random_quaternion(rng))) for place in places)

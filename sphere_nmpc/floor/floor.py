@@ -30,8 +30,6 @@ _REACH = 4.0
 """Distance up to which it is told exactly [needed one]."""
 _CACHED = 16_384
 """Cells whose numbers fit into the cache of a processor core."""
-FALL = 1e-3
-"""Decrease of the clearance [m] that counts as none where it is too small already."""
 T = TypeVar("T")
 
 
@@ -293,41 +291,6 @@ def corner_distances(grid: Grid) -> NDArray[np.float32]:
         np.hypot(away, (j[some] - columns).astype(np.float32), out=found[some])
     found *= np.float32(grid.resolution)
     return found
-
-
-def certified_distance(
-    distances: Vector, lengths: Vector, needed: float, radius: float
-) -> float:
-    """Return a distance that a whole path keeps [m], nan if it is not certified to keep enough.
-
-    Parameters
-    ----------
-    distances : ndarray, shape (K,)
-        Lower bounds of the distances at the samples of the path [m].
-    lengths : ndarray, shape (K - 1,)
-        Upper bounds of the lengths of the path between them [m].
-    needed : float
-        Distance that is to be kept [m]; where the path begins with less, its distance must not
-        fall until it has that.
-    radius : float
-        Distance of a contact [m]: a path that begins without one is certified not to have any
-        between its samples either. From within what is occupied no path is certified.
-    """
-    # From one sample the distance falls and to the next one it rises by no more than the way.
-    between = 0.5 * (distances[:-1] + distances[1:] - lengths)
-    if distances[0] >= needed:
-        least = float(np.min(between, initial=float(distances[0])))
-        return least if least >= needed else math.nan
-    start = float(distances[0])
-    if not start > 0.0:
-        return math.nan
-    reached = np.maximum.accumulate(distances)
-    # Short of it at the start, whether a path falls is only known at its samples.
-    known = np.where(reached[:-1] < needed, distances[1:], between)
-    wanted = np.maximum(np.minimum(needed, reached[1:]) - FALL, min(start, radius))
-    if np.any(known < wanted) or (start >= radius and np.any(between < radius)):
-        return math.nan
-    return float(np.min(distances))
 
 
 def exact_distance(grid: Grid, place: Vector, reach: float) -> float:

@@ -11,11 +11,12 @@ that it could keep: no motion is certified from there.
 
 import math
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.floor.floor import FALL, Floor, certified_distance
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
@@ -37,6 +38,8 @@ _AT_GOAL = 1e-3
 _ROUNDING, _VARIES = 1e-6, 1e-3
 """Distances [m] by which a goal may be too near to what is occupied: for radius and clearance, and
 for a radius that is learnt, which varies."""
+_FALL = 1e-3
+"""Decrease of the clearance [m] that counts as none where it is too small already."""
 _LEAST_SHARE = 0.1
 """Least share [-] of its inertia about the contact point that an imbalance may leave a sphere."""
 
@@ -122,7 +125,7 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
     spacings = _spacings(situation, hold)
     found: float = solver.hold_clearance(
         hold.times.size - 1, *(array.ctypes.data for array in arrays), *corners.shape,
-        place.ctypes.data, needed, situation.radius, FALL, bound_of_speed(situation),
+        place.ctypes.data, needed, situation.radius, _FALL, bound_of_speed(situation),
         spacings.ctypes.data, spacings.size,
     )
     return found
@@ -139,11 +142,10 @@ def plain_certified(situation: Situation, hold: FirstOrderHold, needed: float) -
     """Do what `certified` does, on NumPy."""
     found = math.nan
     for longest in _spacings(situation, hold):
-        path, lengths = sampled_path(situation, hold, float(longest))
-        distances = situation.floor.distances(path)
-        found = certified_distance(distances, lengths, needed, situation.radius)
-        is_near = distances[0] >= needed and float(np.min(distances)) < needed
-        if is_near or not math.isnan(found):
+        profile = profile_of(situation, hold, float(longest))
+        found = profile.certified(needed, situation.radius)
+        first, least = float(profile.distances[0]), float(np.min(profile.distances))
+        if least < needed <= first or not math.isnan(found):
             break  # closer samples would change nothing
     return found
 
@@ -153,10 +155,49 @@ def is_clear(situation: Situation, hold: FirstOrderHold, margin: Margin) -> bool
     return not math.isnan(clearance_of(situation, hold, margin))
 
 
-def sampled_path(
-    situation: Situation, hold: FirstOrderHold, longest: float
-) -> tuple[Vector, Vector]:
-    """Return places along a motion, shape (K, 2) [m], and bounds of the ways between them [m].
+class Profile(NamedTuple):
+    """Clearance profile: the distance to what is occupied along a motion.
+
+    Attributes
+    ----------
+    places : ndarray, shape (K, 2)
+        Places along the motion [m].
+    distances : ndarray, shape (K,)
+        Lower bounds of the distances there [m].
+    lengths : ndarray, shape (K - 1,)
+        Upper bounds of the lengths of the way between them [m].
+    """
+
+    places: Vector
+    distances: Vector
+    lengths: Vector
+
+    def certified(self, needed: float, radius: float) -> float:
+        """Return a distance that the motion keeps [m], nan if it is not certified to keep enough.
+
+        Where it begins with less than is `needed` [m], its distance must not fall until it has
+        that. One that begins without a contact, within a `radius` [m], is certified not to have
+        any between its samples either; from within what is occupied no motion is certified.
+        """
+        # From one sample the distance falls and to the next one it rises by no more than the way.
+        distances, start = self.distances, float(self.distances[0])
+        between = 0.5 * (distances[:-1] + distances[1:] - self.lengths)
+        if start >= needed:
+            least = float(np.min(between, initial=start))
+            return least if least >= needed else math.nan
+        if not start > 0.0:
+            return math.nan
+        reached = np.maximum.accumulate(distances)
+        # Short of it at the start, whether a path falls is only known at its samples.
+        known = np.where(reached[:-1] < needed, distances[1:], between)
+        wanted = np.maximum(np.minimum(needed, reached[1:]) - _FALL, min(start, radius))
+        if np.any(known < wanted) or (start >= radius and np.any(between < radius)):
+            return math.nan
+        return float(np.min(distances))
+
+
+def profile_of(situation: Situation, hold: FirstOrderHold, longest: float) -> Profile:
+    """Return the clearance profile of a motion.
 
     There are samples at all knots, and at most `longest` [s] apart.
     """
@@ -179,7 +220,8 @@ def sampled_path(
     if not is_zero(situation.momentum, situation.disturbance):
         norms = norms + np.linalg.norm(states[:, MOMENTUM], axis=1)
     ways = 0.5 * bound_of_speed(situation) * (norms[1:] + norms[:-1]) * np.diff(sampled)
-    return states[:, POSITION], ways
+    places = states[:, POSITION]
+    return Profile(places, situation.floor.distances(places), ways)
 
 
 def bound_of_speed(situation: Situation) -> float:
@@ -217,9 +259,9 @@ def stop_before_contact(situation: Situation, hold: FirstOrderHold) -> str:
     """Return how a stop, from time 0 (now) on, ends in a contact; empty if it does not."""
     if situation.floor.is_empty:
         return ""
-    path, lengths = sampled_path(situation, hold, float(_spacings(situation, hold)[-1]))
-    touched = np.flatnonzero(situation.floor.distances(path) < situation.radius)
+    profile = profile_of(situation, hold, float(_spacings(situation, hold)[-1]))
+    touched = np.flatnonzero(profile.distances < situation.radius)
     if not touched.size:
         return ""
-    whole, free = float(np.sum(lengths)), float(np.sum(lengths[: touched[0]]))
+    whole, free = (float(np.sum(profile.lengths[:last])) for last in (None, touched[0]))
     return f"a stop without contact: it takes {whole:.2f} m, and {free:.2f} m are free"

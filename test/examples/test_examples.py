@@ -9,8 +9,8 @@ import pytest
 import yaml
 from documented_examples import EXAMPLES, forms, printed, run_example, section
 
+from sphere_nmpc.floor.route import in_sight, route_to
 from sphere_nmpc.floor.settings import FloorSettings
-from sphere_nmpc.floor.way import in_sight, way_to
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
@@ -56,4 +56,4 @@ def test_robot_of_ones_own_is_the_same_in_both_nodes_and_has_to_go_around_the_ta
     ends = np.array([start, [1.5, 0.5]])
     assert floor.distances(ends).min() > 2.0 * radius
     assert not in_sight(floor, ends[0], ends[1:], floor.needed)[0]
-    assert way_to(floor, ends[1]).length(ends[0]) < 5.0
+    assert route_to(floor, ends[1]).length(ends[0]) < 5.0

@@ -169,6 +169,8 @@ class ArrivalSolver:
         self, robot: RobotParameters, grid: Grid, settings: TimeOptimalSettings
     ) -> None:
         self.robot, self.grid, self.settings = robot, grid, settings
+        self.near_distance = settings.near_distance(robot)
+        """Distance [m] beyond which whole turns are left out of a search."""
         self._max_speed = robot.max_rotor_speed
         self._acceleration = robot.max_rotor_acceleration
         self._trial = SolverSettings(

@@ -1,35 +1,24 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals that are aimed at in place of a given one, which the rotors cannot hold or is too far.
+"""Goals that are aimed at in place of a given one, at which the rotors cannot hold the momentum.
 
 A sphere that rests out of balance gains momentum until a rotor saturates. The torque turns with
 the sphere, so that an orientation at which it opposes the momentum unloads the rotors. They hold
 the momentum there, too, if it is perpendicular to the body's z axis and to the imbalance; the
 torque is largest where the imbalance is horizontal.
-
-With more than a small momentum a sphere cannot roll steadily, and whole turns cannot be left out
-of a plan: its size would grow with the distance. A far goal is then approached by intermediate
-goals some metres ahead on the straight line. Otherwise only goals beyond 25 km need them.
 """
-
-from dataclasses import replace
 
 import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import after_slope, rest_speeds
-from sphere_nmpc.model.goal import STANDING, Orientation
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
+from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import given_up_angle, holdable_goal
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
-_FAR = 2.5
-"""Distance over that of the intermediate goals beyond which there are any."""
-_STEADY = 1e4
-"""Distance of an intermediate goal to which the sphere rolls steadily [m]: the direction to one at
-100 km would have to be planned to more digits than the solver attains."""
 _LEAST_MOMENTUM = 10.0
 """Momentum [rad/s] below which its direction is no longer followed."""
 _LEAST_DIRECTED = 0.5
@@ -144,48 +133,6 @@ class HeldGoal:
         # Near zero the direction is not defined, and the momentum then reverses along it.
         if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
             self._direction = level / length
-
-
-class IntermediateGoals:
-    """Replacement of a far goal by one on the way to it.
-
-    With momentum it is as far away as goals from which no whole turns are left out, `near` [m].
-    """
-
-    def __init__(self, settings: TimeOptimalSettings, near: float) -> None:
-        self._settings, self._near = settings, near
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the intermediate goal."""
-        self._place: Vector | None = None
-
-    def aim(self, situation: Situation, time_left: float, found_none: bool = False) -> Situation:
-        """Return the situation with the goal to plan for.
-
-        Parameters
-        ----------
-        situation : Situation
-            With the final goal.
-        time_left : float
-            Time to the arrival of the plan that is being followed [s]; 0 without one.
-        found_none : bool, optional
-            Whether the last search has found no arrival; the next one is then to a nearer goal.
-        """
-        steady, last = self._settings.is_small(situation), self._place
-        here, near = situation.state[POSITION], _STEADY if steady else self._near
-        way = situation.goal[POSITION] - here
-        distance = float(np.linalg.norm(way))
-        farthest = near if last is not None or (found_none and not steady) else _FAR * near
-        if distance <= farthest:
-            self._place = None
-            return situation
-        ends = steady and last is not None and float(np.linalg.norm(last - here)) < 0.5 * near
-        if last is None or time_left <= 0.0 or ends:
-            self._place = here + (near / distance) * way
-        goal = situation.goal.copy()
-        goal[POSITION] = self._place
-        return replace(situation, goal=goal, goal_rate=STANDING)
 
 
 def _unloading_orientation(

@@ -13,25 +13,23 @@ from functools import lru_cache
 
 import numpy as np
 
-from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.approach import approach_to, is_narrow, with_approach
 from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.knots import Grid
-from sphere_nmpc.strategy.time_optimal.on_the_way import (
-    Aim,
-    aimed,
+from sphere_nmpc.strategy.time_optimal.guide import (
     detour_to_goal,
     leads_on,
-    rolled_straight,
+    line_on,
+    lines_to_goal,
+    local_goal,
     time_to_go,
-    way_of,
+    with_lines,
 )
+from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.worker.contract import Reply, Store, Worker
@@ -102,77 +100,60 @@ class SearchTask:
     def __call__(self, store: Store | None = None) -> Arrival | NoWay | None:
         """Return the earliest arrival that is found, but for the one that is known."""
         solver, end = solver_for(self.robot, self.tuning), time.perf_counter() + self.longest
-        floor = self.situation.floor
-        if not floor.is_empty and self.known is None:
-            return self._on_the_way(solver, floor, end)
-        start: Arrival | None = None
         if self.known is not None:
-            start = solver.solve(
-                self.situation, self.situation.goal, self.known, budget=self.longest, kept=True
-            )
-            if start.error > self.tuning.arrival_error:
-                return None
-        detour = 0.0 if floor.is_empty else detour_to_goal(self.situation, floor)
-        search = ArrivalSearch(solver, self.situation, self.seed, start, detour)
-        if start is None:
-            return search.improve(self.effort, end)
+            return self._earlier(solver, self.known, end)
+        guidance = local_goal(self.situation, solver, self.fruitless)
+        if guidance.reason:
+            return NoWay(guidance.reason)
+        for aim in guidance.aims:
+            search = ArrivalSearch(solver, aim.situation, self.seed, detour=aim.detour)
+            found = search.improve(int(aim.share * self.effort), end)
+            if found is not None and aim.is_final:
+                return found
+            if found is not None and leads_on(self.situation, self._rested, _end_of(found)):
+                return self._part(found)
+        if not guidance.by_lines or not self.tuning.is_small(self.situation):
+            return None  # lines are those of a sphere without momentum
+        found = self._by_lines(solver, end) if guidance.sees_goal else None
+        if found is None and self.from_rest:
+            line = line_on(self.situation, solver, self._rested)
+            return None if line is None else self._part(line)
+        return found
+
+    @property
+    def _rested(self) -> Vector:
+        return self.situation.state[POSITION] if self.rested is None else self.rested
+
+    def _part(self, arrival: Arrival) -> Arrival:
+        """Return an arrival on the way with the time from there to the final goal."""
+        limit = self.robot.max_rotor_speed
+        return replace(arrival, to_go=time_to_go(self.situation, _end_of(arrival), limit))
+
+    def _earlier(
+        self, solver: ArrivalSolver, known: FirstOrderHold, end: float
+    ) -> Arrival | None:
+        """Return an earlier arrival than that of the plan that is known; None without one."""
+        situation = self.situation
+        start = solver.solve(situation, situation.goal, known, budget=self.longest, kept=True)
+        if start.error > self.tuning.arrival_error:
+            return None
+        search = ArrivalSearch(solver, situation, self.seed, start, detour_to_goal(situation))
         found = search.improve_once(end)
         return None if found is start else found
 
-    def _on_the_way(
-        self, solver: ArrivalSolver, floor: Floor, end: float
-    ) -> Arrival | NoWay | None:
-        """Return the earliest arrival at the goal, or at a place on the way around obstacles."""
-        situation, limit = self.situation, self.robot.max_rotor_speed
-        aim = aimed(situation, floor, self.fruitless)
-        if aim.reason:
-            return NoWay(aim.reason)
-        found = self._to_goal(solver, floor, aim, end)
-        if found is not None:
-            return found
-        if not aim.is_goal:
-            search = ArrivalSearch(solver, aim.situation, self.seed, detour=aim.detour)
-            found = search.improve(self.effort, end)
-        rested = situation.state[POSITION] if self.rested is None else self.rested
-        if found is not None and not leads_on(
-            situation, floor, rested, found.states[-1, POSITION]
-        ):
-            found = None
-        if found is None and self.from_rest:
-            found = rolled_straight(situation, floor, solver, rested)
-        if found is None:
-            return None
-        way, there = way_of(situation, floor), found.states[-1, POSITION]
-        return replace(found, to_go=time_to_go(way, there, situation, limit))
-
-    def _to_goal(
-        self, solver: ArrivalSolver, floor: Floor, aim: Aim, end: float
-    ) -> Arrival | None:
-        """Return the earliest arrival at the goal, in sight or near; None where none is found."""
-        situation = self.situation
-        if not aim.is_goal:  # motions are not straight
-            way = way_of(situation, floor)
-            length = way.length(situation.state[POSITION])
-            if length > self.tuning.near_distance(self.robot):
-                return None
-            detour = detour_to_goal(situation, floor)
-            search = ArrivalSearch(solver, situation, self.seed, detour=detour)
-            return search.improve(self.effort // 2, end)
-        found, narrow = None, is_narrow(situation, floor)
-        if not narrow:
-            found = ArrivalSearch(solver, situation, self.seed).improve(self.effort, end)
-        if found is None and (narrow or self.fruitless):
-            found = self._approached(solver, floor, end)
-        return found
-
-    def _approached(self, solver: ArrivalSolver, floor: Floor, end: float) -> Arrival | None:
+    def _by_lines(self, solver: ArrivalSolver, end: float) -> Arrival | None:
         """Return an arrival at the goal that ends with straight lines to it."""
-        approach = approach_to(self.situation, floor, solver)
-        if approach is None:
+        lines = lines_to_goal(self.situation, solver)
+        if lines is None:
             return None
-        aim = replace(self.situation, goal=approach.pose, orientation=Orientation.FULL)
+        aim = replace(self.situation, goal=lines[0], orientation=Orientation.FULL)
         found = ArrivalSearch(solver, aim, self.seed).improve(self.effort, end)
-        return None if found is None else with_approach(self.situation, found, approach)
+        return None if found is None else with_lines(self.situation, found, lines[1])
+
+
+def _end_of(arrival: Arrival) -> Vector:
+    """Return the place where an arrival ends, shape (2,) [m]."""
+    return arrival.states[-1, POSITION]
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_nmpc.strategy.time_optimal.arrival import RAISES, Arrival, ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.on_the_way import way_of_time
+from sphere_nmpc.strategy.time_optimal.guide import way_of_time
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _LEAST_GAIN = 5e-3

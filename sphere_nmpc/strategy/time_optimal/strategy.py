@@ -36,7 +36,7 @@ from sphere_nmpc.strategy.rest import (
     stop,
 )
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
+from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
 from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal
 from sphere_nmpc.strategy.time_optimal.searches import (
     Searches,
@@ -81,7 +81,6 @@ class TimeOptimalStrategy:
         self._settings = settings
         self._robot = robot
         self._tuning = TimeOptimalSettings() if tuning is None else tuning
-        self._goals = IntermediateGoals(self._tuning, self._tuning.near_distance(robot))
         self._held_goal = HeldGoal(robot.max_rotor_speed, self._tuning)
         self._rest_at_goal = RestAtGoal(settings, robot, self._tuning)
         self._in_line = Searches(InLine())
@@ -127,7 +126,7 @@ class TimeOptimalStrategy:
         self._forget_goal()
 
     def _forget_goal(self) -> None:
-        for part in (self._goals, self._held_goal, self._rest_at_goal):
+        for part in (self._held_goal, self._rest_at_goal):
             part.reset()
 
     def _solver_with(self, share: float) -> ArrivalSolver:
@@ -419,14 +418,10 @@ class TimeOptimalStrategy:
         return dataclasses.replace(situation, goal=goal)
 
     def _aimed(self, situation: Situation) -> Situation:
-        """Return the situation with a goal that is near enough and can be held."""
-        state, end, left = self._state, None, 0.0
+        """Return the situation with a goal that can be held."""
+        state, end = self._state, None
         if isinstance(state, Following):
-            end, left = state.momentum_at_arrival(situation), state.time_left(situation.time)
+            end = state.momentum_at_arrival(situation)
         found_none = isinstance(state, Searching) and state.fruitless > 0
         goal = self._held_goal.goal(situation, end, isinstance(state, Holding), found_none)
-        if goal is not situation.goal:
-            situation = dataclasses.replace(situation, goal=goal)
-        if not situation.floor.is_empty:
-            return situation  # a search finds the way to it
-        return self._goals.aim(situation, left, found_none)
+        return situation if goal is situation.goal else dataclasses.replace(situation, goal=goal)

@@ -13,12 +13,12 @@ import pytest
 from scipy import ndimage
 
 from sphere_nmpc.channel import Channel, encoded
-from sphere_nmpc.floor.floor import Floor, certified_distance, exact_distance
+from sphere_nmpc.floor.floor import Floor, exact_distance
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.floor.way import find_ways, plain_ways, way_to
+from sphere_nmpc.floor.route import find_routes, plain_routes, route_to
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.strategy.clearance import Margin, needed_distance, refusal
+from sphere_nmpc.strategy.clearance import Margin, Profile, needed_distance, refusal
 from sphere_nmpc.strategy.contract import Situation
 
 RADIUS = 0.3
@@ -91,7 +91,7 @@ def test_certificate_holds_between_samples() -> None:
         chords = np.linalg.norm(np.diff(path, axis=0), axis=1)
         lengths = chords * rng.uniform(1.0, 1.5, chords.size)
         needed = rng.uniform(0.02, 0.2)
-        found = certified_distance(floor.distances(path), lengths, needed, 0.0)
+        found = Profile(path, floor.distances(path), lengths).certified(needed, 0.0)
         if math.isnan(found) or floor.distances(start)[0] < needed:
             continue
         certified += 1
@@ -113,15 +113,16 @@ def test_certificate_holds_between_samples() -> None:
 
 
 def test_certificate_of_a_start_without_clearance() -> None:
-    away = np.array([0.24, 0.241, 0.2495, 0.265, 0.27])
-    steps = np.full(4, 0.02)
-    assert certified_distance(away, steps, 0.25, 0.2) == pytest.approx(0.24)
-    falls = np.array([0.23, 0.24, 0.235, 0.255, 0.27])
-    assert math.isnan(certified_distance(falls, steps, 0.25, 0.2))
+    def certified(distances: list[float]) -> float:
+        places = np.empty((len(distances), 2))
+        steps = np.full(len(distances) - 1, 0.02)
+        return Profile(places, np.array(distances), steps).certified(0.25, 0.2)
+
+    assert certified([0.24, 0.241, 0.2495, 0.265, 0.27]) == pytest.approx(0.24)
+    assert math.isnan(certified([0.23, 0.24, 0.235, 0.255, 0.27]))
     # Once it has enough it must keep that.
-    back = np.array([0.24, 0.25, 0.26, 0.248, 0.26])
-    assert math.isnan(certified_distance(back, steps, 0.25, 0.2))
-    assert certified_distance(np.array([0.1]), np.empty(0), 0.25, 0.2) == pytest.approx(0.1)
+    assert math.isnan(certified([0.24, 0.25, 0.26, 0.248, 0.26]))
+    assert certified([0.1]) == pytest.approx(0.1)
 
 
 def test_a_floor_reaches_another_process_as_shared_memory() -> None:
@@ -153,7 +154,7 @@ def test_a_floor_is_freed_with_all_that_was_kept_with_it() -> None:
         goal = np.array([0.3, 1.2])
         situation = Situation(0.0, np.append(goal, (1, 0, 0, 0)), np.append(goal, (1, 0, 0, 0)),
                               np.zeros(2), RobotParameters().lumped, floor=floor)
-        assert way_to(floor, goal) is way_to(floor, goal)
+        assert route_to(floor, goal) is route_to(floor, goal)
         refusal(situation, floor)
         needed_distance(situation, Margin.FOUND)
         assert len(floor.kept) == 3
@@ -172,8 +173,8 @@ def test_ways_are_those_of_scipy() -> None:
     cost.flat[goal] = 1.0
     found, twin = (np.full(cost.shape, np.inf, np.float32) for _ in range(2))
     after, after_twin = (np.full(cost.shape, -1, np.int32) for _ in range(2))
-    find_ways(cost, goal, found, after)
-    plain_ways(cost, goal, twin, after_twin)
+    find_routes(cost, goal, found, after)
+    plain_routes(cost, goal, twin, after_twin)
     np.testing.assert_allclose(found, twin, rtol=1e-5)
     assert ((after < 0) == (after_twin < 0)).all()
     assert 100 < np.isfinite(found).sum() < cost.size
@@ -199,7 +200,7 @@ def test_a_way_is_found_exactly_where_there_is_one() -> None:
         for goal, start in inside[rng.integers(len(inside), size=(8, 2))]:
             same = len({int(parts[round(y / spacing), round(x / spacing)])
                         for x, y in (goal, start)}) == 1
-            path = way_to(floor, goal).path(start)
+            path = route_to(floor, goal).path(start)
             if same:
                 missing += int(len(path) == 0)
                 np.testing.assert_array_equal(path[-1], goal)
@@ -215,7 +216,7 @@ def test_a_way_around_a_wall_is_about_as_long_as_the_shortest() -> None:
     occupied = np.zeros((80, 80), dtype=bool)
     occupied[:50, 40] = True
     floor = Floor(Grid(occupied, 0.05), RADIUS, 0.02)
-    way = way_to(floor, np.array([3.0, 1.0]))
+    way = route_to(floor, np.array([3.0, 1.0]))
     # Around the circle of the needed distance about the end of the wall, twice a tangent.
     shortest = 0.0
     for place, corner in (((1.0, 1.0), (2.0, 2.5)), ((3.0, 1.0), (2.05, 2.5))):
@@ -247,8 +248,8 @@ def test_no_way_out_of_a_closed_room() -> None:
     occupied = np.zeros((80, 80), dtype=bool)
     occupied[:, 40] = True
     floor = Floor(Grid(occupied, 0.05), RADIUS, 0.02)
-    way = way_to(floor, np.array([3.0, 1.0]))
+    way = route_to(floor, np.array([3.0, 1.0]))
     assert len(way.path(np.array([1.0, 1.0]))) == 0
     assert way.length(np.array([1.0, 1.0])) == math.inf
-    assert len(way_to(floor, np.array([2.0, 1.0])).path(np.array([3.0, 1.0]))) == 0
-    assert len(way_to(floor, np.array([9.0, 1.0])).path(np.array([3.0, 1.0]))) == 0
+    assert len(route_to(floor, np.array([2.0, 1.0])).path(np.array([3.0, 1.0]))) == 0
+    assert len(route_to(floor, np.array([9.0, 1.0])).path(np.array([3.0, 1.0]))) == 0

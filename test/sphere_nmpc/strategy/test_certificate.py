@@ -15,7 +15,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.floor.way import way_to
+from sphere_nmpc.floor.route import route_to
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -28,8 +28,8 @@ from sphere_nmpc.strategy.clearance import (
     clearance_of,
     needed_distance,
     plain_certified,
+    profile_of,
     refusal,
-    sampled_path,
     stop_before_contact,
 )
 from sphere_nmpc.strategy.contract import Situation
@@ -124,9 +124,7 @@ def test_a_start_without_clearance_is_not_certified_into_a_contact(beyond: float
     """A fall of 1 mm counted as none, and where it was short nothing bound the path between."""
     situation = on_a_line(RADIUS + beyond)
     toward = rolled(beyond + 0.2e-3)
-    path, _ = sampled_path(situation, toward, 1e-3)
-    assert situation.floor is not None
-    assert situation.floor.distances(path).min() < RADIUS
+    assert profile_of(situation, toward, 1e-3).distances.min() < RADIUS
     assert math.isnan(both(situation, toward))
     assert both(situation, rolled(-0.02, back=False)) > RADIUS - 1e-9
 
@@ -157,7 +155,7 @@ def test_the_bound_of_the_way_holds_with_momentum_and_imbalance(robot: RobotPara
         situation = Situation(
             0.0, state, pose(1.0, 1.0), np.zeros(2), constants, disturbance=disturbance
         )
-        path, lengths = sampled_path(situation, hold, 1e-3)
+        path, _, lengths = profile_of(situation, hold, 1e-3)
         ways = np.linalg.norm(np.diff(path, axis=0), axis=1)
         assert (ways <= lengths + 1e-9).all()
         closest = max(closest, float((ways / lengths).max()))
@@ -237,7 +235,7 @@ def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
     loop.controller.set_goal(goal)
     loop.run(16.0)
     assert state_error(loop.pose, goal) < 1e-2
-    way = way_to(floor, goal[POSITION])
+    way = route_to(floor, goal[POSITION])
     tasks = [task for task in worker.tasks if isinstance(task, SearchTask)]
     left = [way.length(task.rested) for task in tasks if task.rested is not None]
     assert len(left) > 5

@@ -15,7 +15,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import NO_MOMENTUM, POSITION, QUATERNION, Vector, make_state
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import holdable_goal
-from sphere_nmpc.strategy.time_optimal.goals import HeldGoal, IntermediateGoals
+from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
+from sphere_nmpc.strategy.time_optimal.guide import local_goal, time_to_go
+from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 ROBOT = RobotParameters()
@@ -24,7 +26,6 @@ TUNING = TimeOptimalSettings()
 UPRIGHT = make_state(np.array([1.0, -2.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
 DIRECTION, PUSHED = np.array([0.8, 0.6]), np.array([10.0, -5.0, 0.0])
-REACH = TUNING.near_distance(ROBOT)
 LOADING = np.array([0.0, 1.0, 0.0])
 """Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
 
@@ -92,17 +93,17 @@ def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -
     return situation(goal, momentum, pose=make_state(place, UPRIGHT[QUATERNION]))
 
 
-def test_far_goal_is_approached_by_goals_on_the_straight_line() -> None:
-    steady = on_the_way(np.zeros(2), 2.4e4)
-    assert IntermediateGoals(TUNING, REACH).aim(steady, 0.0) is steady
-    pushed = on_the_way(np.zeros(2), 2.4 * REACH, PUSHED)
-    assert IntermediateGoals(TUNING, REACH).aim(pushed, 0.0) is pushed
-    goals, far = IntermediateGoals(TUNING, REACH), on_the_way(np.zeros(2), 500.0, PUSHED)
-    first = goals.aim(far, 0.0)
-    np.testing.assert_allclose(first.goal[POSITION], REACH * DIRECTION)
-    np.testing.assert_array_equal(first.goal[2:], far.goal[2:])
-    np.testing.assert_array_equal(goals.aim(far, 10.0).goal, first.goal)
-    second = goals.aim(on_the_way(REACH * DIRECTION, 500.0, PUSHED), 0.0)
-    np.testing.assert_allclose(second.goal[POSITION], 2.0 * REACH * DIRECTION)
-    last = on_the_way((500.0 - 0.9 * REACH) * DIRECTION, 500.0, PUSHED)
-    assert goals.aim(last, 10.0) is last
+def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
+    solver = solver_for(ROBOT, TUNING)
+    leg = solver.near_distance
+    for near in (on_the_way(np.zeros(2), 2.4e4), on_the_way(np.zeros(2), 2.4 * leg, PUSHED)):
+        (aim,) = local_goal(near, solver, 0).aims
+        assert aim.is_final and aim.situation is near
+    for place, momentum, length in (
+        (leg * DIRECTION, PUSHED, leg), (np.zeros(2), NO_MOMENTUM, 1e4),
+    ):
+        far = on_the_way(place, 1e5, momentum)
+        (aim,) = local_goal(far, solver, 0).aims
+        np.testing.assert_allclose(aim.situation.goal[POSITION], place + length * DIRECTION)
+        assert not aim.is_final and not aim.detour
+        assert time_to_go(far, aim.situation.goal[POSITION], 100.0) > 1e4

@@ -18,8 +18,8 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.floor.route import in_sight
 from sphere_nmpc.floor.settings import FloorSettings
-from sphere_nmpc.floor.way import in_sight
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros

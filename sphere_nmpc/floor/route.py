@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Shortest ways to a goal on a floor, and the farthest place on one that is in sight.
+"""Routes: shortest ways to a goal on a floor, and what is in sight there.
 
 Nodes are corners of the floor's cells. One counts as free where the distance there misses what is
 needed by no more than half the diagonal of four nodes: a path with enough clearance passes near
@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from sphere_nmpc.floor.floor import Floor, kept_with_floor
 from sphere_nmpc.floor.occupancy import Grid
@@ -42,8 +40,8 @@ _KEPT = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """Shortest ways to a goal from everywhere.
+class Route:
+    """Shortest ways to a goal from everywhere on a floor.
 
     Attributes
     ----------
@@ -102,19 +100,36 @@ class Way:
         return int((near[0].start + i) * columns + near[1].start + j)
 
 
-def way_to(floor: Floor, goal: Vector, needed: float = 0.0) -> Way:
+class StraightRoute:
+    """Ways to a goal, shape (2,) [m], where nothing stands: straight lines."""
+
+    def __init__(self, goal: Vector) -> None:
+        self.goal = goal
+
+    def length(self, place: Vector) -> float:
+        """Return the length of the way from a place [m]."""
+        return float(np.linalg.norm(self.goal - place))
+
+    def path(self, place: Vector) -> Vector:
+        """Return the way from a place to the goal, shape (2, 2) [m]."""
+        return np.array((place, self.goal))
+
+
+def route_to(floor: Floor, goal: Vector, needed: float = 0.0) -> Route | StraightRoute:
     """Return the ways to a goal, shape (2,) [m]; the newest ones are kept with the floor.
 
     `needed` is the distance that the sphere's centre keeps [m], which is rounded down to cells
     beyond that of the floor, as it varies where a radius is learnt.
     """
+    if floor.is_empty:
+        return StraightRoute(goal)
     side = floor.fine.resolution
     cells = max(0, int((needed - floor.needed) / side))
-    return _way_to(floor, *goal.tolist(), floor.needed + side * cells)
+    return _route_to(floor, *goal.tolist(), floor.needed + side * cells)
 
 
 @kept_with_floor(_KEPT)
-def _way_to(floor: Floor, x: float, y: float, needed: float) -> Way:
+def _route_to(floor: Floor, x: float, y: float, needed: float) -> Route:
     goal: Vector = np.array((x, y))
     fine = floor.fine
     stride = max(1, int(_SPACING * floor.radius / fine.resolution + 1e-6))
@@ -135,11 +150,11 @@ def _way_to(floor: Floor, x: float, y: float, needed: float) -> Way:
         i, j = np.unravel_index(int(np.argmin(cost[near])), cost[near].shape)
         node = int((near[0].start + i) * columns + near[1].start + j)
         if np.isfinite(cost.flat[node]):
-            find_ways(cost, node, lengths, following)
-    return Way(fine, stride, lengths, following, goal)
+            find_routes(cost, node, lengths, following)
+    return Route(fine, stride, lengths, following, goal)
 
 
-def find_ways(
+def find_routes(
     cost: NDArray[np.float32], goal: int, lengths: NDArray[np.float32],
     following: NDArray[np.int32],
 ) -> None:
@@ -149,7 +164,7 @@ def find_ways(
     """
     solver = library()
     if solver is None:
-        plain_ways(cost, goal, lengths, following)
+        plain_routes(cost, goal, lengths, following)
         return
     cost = np.ascontiguousarray(cost, dtype=np.float32)
     heap, place = np.empty(cost.size, np.int32), np.full(cost.size, -1, np.int32)
@@ -157,11 +172,14 @@ def find_ways(
     solver.hold_way(*cost.shape, goal, *(array.ctypes.data for array in arrays))
 
 
-def plain_ways(
+def plain_routes(
     cost: NDArray[np.float32], goal: int, lengths: NDArray[np.float32],
     following: NDArray[np.int32],
 ) -> None:
-    """Do what `find_ways` does, by SciPy."""
+    """Do what `find_routes` does, by SciPy."""
+    from scipy import sparse  # only where the compiled library is missing
+    from scipy.sparse import csgraph
+
     index = np.arange(cost.size).reshape(cost.shape)
     rows, columns = cost.shape
     ends, weights = [], []
@@ -184,6 +202,8 @@ def plain_ways(
 
 def in_sight(floor: Floor, place: Vector, targets: Vector, needed: float) -> NDArray[np.bool_]:
     """Return whether the straight ways to targets, shape (K, 2), keep a distance [m], (K,)."""
+    if floor.is_empty:
+        return np.ones(len(targets), dtype=np.bool_)
     step = 2.0 * floor.fine.resolution
     ways = targets - place
     longest = float(np.max(np.linalg.norm(ways, axis=1), initial=0.0))

@@ -52,8 +52,8 @@ class Meetings(NamedTuple):
     Attributes
     ----------
     scores : ndarray of float32, shape (M,)
-        Duration and a delay in proportion to the distance at which the two miss each other [s];
-        infinite where there is no partner.
+        Duration and the time for the distance at which the two miss each other [s]; infinite
+        where there is no partner.
     periods : ndarray of int32, shape (M,)
         Number of knot periods of the whole motion.
     partners : ndarray of int32, shape (M,)
@@ -166,7 +166,7 @@ def plain_half_motions(
 
 def meet(
     start: Side, goal: Side, periods: range, wanted: int, period: float, speed: float,
-    delay: float, turn_weight: float,
+    turn_weight: float,
 ) -> Meetings:
     """Find the best partner of each half motion from the start.
 
@@ -181,15 +181,14 @@ def meet(
     period : float
         Spacing of the knots [s].
     speed : float
-        Speed of steady rolling [m/s]: what is too far from the other end is left out.
-    delay : float
-        Delay for each metre by which two half motions miss each other [s/m].
+        Speed of steady rolling [m/s]: what is too far from the other end is left out, and the
+        distance by which two half motions miss each other counts as the time that it takes.
     turn_weight : float
         Weight of orientation [m^2]: of the squared distance of the quaternions.
     """
     solver, count = library(), start.steady.size
     if solver is None:
-        return plain_meet(start, goal, periods, wanted, period, speed, delay, turn_weight)
+        return plain_meet(start, goal, periods, wanted, period, speed, turn_weight)
     scores, memory = np.empty(count, np.float32), np.empty(14 * (count + LANES), np.float32)
     lengths, partners = np.empty((2, count), np.int32)
     arrays = (
@@ -198,7 +197,7 @@ def meet(
         np.concatenate((start.corners, 3 - goal.corners)), memory, scores, lengths, partners,
     )
     pairs = solver.hold_meet(
-        count, periods.start, periods.stop - 1, wanted, period, speed, delay, turn_weight,
+        count, periods.start, periods.stop - 1, wanted, period, speed, turn_weight,
         *_addresses(*arrays),
     )
     return Meetings(scores, lengths, partners, int(pairs))
@@ -206,7 +205,7 @@ def meet(
 
 def plain_meet(
     start: Side, goal: Side, periods: range, wanted: int, period: float, speed: float,
-    delay: float, turn_weight: float,
+    turn_weight: float,
 ) -> Meetings:
     """Find what `meet` does, on NumPy."""
     count, pairs = start.steady.size, 0
@@ -227,7 +226,7 @@ def plain_meet(
             apart += 2.0 * turn_weight * (1.0 - np.abs(x[2:].T @ y[2:]))
             which = np.argmin(apart, axis=1)
             found = np.maximum(apart[np.arange(left.size), which], 0.0)
-            score = n * period + delay * np.sqrt(found)
+            score = n * period + np.sqrt(found) / speed
             better = score < scores[left]
             scores[left[better]], lengths[left[better]] = score[better], n
             partners[left[better]] = right[which[better]]

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.plain import Motion, shoot_knots
+from sphere_nmpc.solver.plain import shoot_knots
 from sphere_nmpc.solver.problem import MinimumTimeProblem, Solution, SolverSettings, SolveStatus
 
 ROWS = 8
@@ -82,24 +82,13 @@ class Point:
 
 def expand_error(problem: MinimumTimeProblem, v: Vector, stretch: float = 1.0) -> Point:
     """Return merit, terminal error and its derivatives at scaled knots v, shape (2 N,)."""
+    steady, goal, scale = problem.steady_interval, problem.goal, problem.position_scale
     left_out = np.zeros(problem.intervals)
-    left_out[problem.steady_interval] = problem.whole_turns
+    left_out[steady] = problem.whole_turns
     inputs, motion = shoot_knots(problem, v, left_out, stretch)
-    duration = stretch * float(np.sum(problem.durations))
-    error, by_inputs, by_stretch = _terminal_error(problem, inputs, motion, duration)
-    by_knots = problem.input_scale * by_inputs
-    by_knots[:, _fixed(problem)] = 0.0
-    merit = duration + problem.error_weight * float(np.sum(np.abs(error)))
-    return Point(v, stretch, merit, error, by_knots, by_stretch, inputs, motion.states)
-
-
-def _terminal_error(
-    problem: MinimumTimeProblem, inputs: Vector, motion: Motion, duration: float
-) -> tuple[Vector, Vector, Vector]:
-    """Return the error, (8,), with its derivatives by u_1 ... u_N, (8, 2 N), and by stretch."""
     end, momentum = motion.states[-1], motion.states[-1, MOMENTUM]
-    error, by_end, by_last = np.zeros(ROWS), np.zeros((ROWS, 9)), np.zeros((ROWS, INPUT_SIZE))
-    scale, goal = problem.position_scale, problem.goal
+    duration = stretch * float(np.sum(problem.durations))
+    error, by_end = np.zeros(ROWS), np.zeros((ROWS, 9))
     moved = problem.goal_velocity * duration
     error[:2] = scale * (end[POSITION] - goal[POSITION] - moved)
     by_end[:2, POSITION] = scale * np.eye(2)
@@ -109,20 +98,22 @@ def _terminal_error(
     error[2:5], by_end[2:5, QUATERNION] = turn @ end[QUATERNION], turn
     if problem.disturbed:
         hold = rotation.matrix(goal[QUATERNION])[:, :2].T / problem.input_scale
-        error[5:7] = inputs[-1] / problem.input_scale - hold @ momentum
-        by_end[5:7, MOMENTUM], by_last[5:7] = -hold, np.eye(2) / problem.input_scale
+        error[5:7] = v[-INPUT_SIZE:] - hold @ momentum
+        by_end[5:7, MOMENTUM] = -hold
         error[7] = problem.momentum_row @ momentum
         by_end[7, MOMENTUM] = problem.momentum_row
-    by_knots = by_end @ motion.derivatives[-1]
-    by_knots[:, -INPUT_SIZE:] += by_last
+    by_knots = problem.input_scale * by_end @ motion.derivatives[-1]
     by_stretch = by_end @ motion.by_stretch[-1]
     by_stretch[:2] -= scale * moved
-    steady = problem.steady_interval
-    if steady > 0 and not problem.disturbed:
+    if problem.disturbed:
+        by_knots[5:7, -INPUT_SIZE:] += np.eye(INPUT_SIZE)
+    elif steady > 0:
         error[7], by_turn = _tilt(problem.steady_axis, motion.states[steady, QUATERNION])
-        by_knots[7] = by_turn @ motion.derivatives[steady, QUATERNION]
+        by_knots[7] = problem.input_scale * by_turn @ motion.derivatives[steady, QUATERNION]
         by_stretch[7] = by_turn @ motion.by_stretch[steady, QUATERNION]
-    return error, by_knots, by_stretch
+    by_knots[:, _fixed(problem)] = 0.0
+    merit = duration + problem.error_weight * float(np.sum(np.abs(error)))
+    return Point(v, stretch, merit, error, by_knots, by_stretch, inputs, motion.states)
 
 
 def _tilt(axis: Vector, quaternion: Vector) -> tuple[float, Vector]:
@@ -138,45 +129,6 @@ def _fixed(problem: MinimumTimeProblem) -> NDArray[np.bool_]:
     return np.asarray(problem.lower >= problem.upper).ravel()
 
 
-@dataclass(frozen=True, eq=False)
-class _Limits:
-    """Limits of scaled knots v: bounds, and the change of each that a duration allows."""
-
-    lower: Vector
-    upper: Vector
-    first: Vector
-    """Scaled input in force, u_0 / U, shape (2,)."""
-    reach: Vector
-    """Change that is allowed for each of the 2 N scaled knots at a factor of 1, a h_m / U."""
-
-    @classmethod
-    def of(cls, problem: MinimumTimeProblem) -> "_Limits":
-        scale = problem.input_scale
-        reach = problem.max_acceleration / scale * np.repeat(problem.durations, INPUT_SIZE)
-        lower, upper = problem.lower.ravel() / scale, problem.upper.ravel() / scale
-        return cls(lower, upper, problem.input_in_force / scale, reach)
-
-    def changes(self, v: Vector) -> Vector:
-        """Return the change of each knot from the one before."""
-        return v - np.concatenate((self.first, v[:-INPUT_SIZE]))
-
-    def kept(self, start: Vector) -> tuple[Vector, float]:
-        """Return knots within the limits, near `start`, and the stretch that this takes.
-
-        Those that can be reached from the start, and of these those from which the last one can.
-        """
-        v = np.clip(start, self.lower, self.upper)
-        for i in range(v.size):
-            before, reach = v[i - 2] if i >= 2 else self.first[i], self.reach[i]
-            v[i] = np.clip(np.clip(v[i], before - reach, before + reach), self.lower[i],
-                           self.upper[i])
-        for i in range(v.size - 3, -1, -1):
-            after, reach = v[i + 2], self.reach[i + 2]
-            v[i] = np.clip(np.clip(v[i], after - reach, after + reach), self.lower[i],
-                           self.upper[i])
-        return v, max(1.0, float(np.max(np.abs(self.changes(v)) / self.reach)))
-
-
 def minimise_time(
     problem: MinimumTimeProblem, start: Vector, settings: SolverSettings, time_budget: float
 ) -> Solution:
@@ -186,9 +138,8 @@ def minimise_time(
     `time_budget` is in s.
     """
     began = time.perf_counter()
-    limits, whole = _Limits.of(problem), float(np.sum(problem.durations))
-    program = _Program(problem, limits)
-    v, stretch = limits.kept(start.ravel() / problem.input_scale)
+    program, whole = _Program(problem), float(np.sum(problem.durations))
+    v, stretch = program.kept(start.ravel() / problem.input_scale)
     here = expand_error(problem, v, stretch)
     proximal, succession = settings.initial_damping, 0
     pull: Vector = np.zeros(v.size)
@@ -211,10 +162,10 @@ def minimise_time(
         linear = here.error + here.by_stretch * s + here.by_knots @ z
         error = problem.error_weight * float(np.sum(np.abs(linear)))
         residual = here.merit - here.stretch * (1.0 + s) * whole - error
-        trial = _moved(problem, limits, here, z, s)
+        trial = program.moved(here, z, s)
         if not here.merit - trial.merit >= _CORRECTED * residual:
             again = program.step(here, proximal, pull, here.error + trial.error - linear)
-            corrected = None if again is None else _moved(problem, limits, here, *again)
+            corrected = None if again is None else program.moved(here, *again)
             if corrected is not None and again is not None and corrected.merit < trial.merit:
                 trial, (z, s) = corrected, again
         decrease = here.merit - trial.merit
@@ -241,29 +192,49 @@ def minimise_time(
     )
 
 
-def _moved(
-    problem: MinimumTimeProblem, limits: _Limits, here: Point, z: Vector, s: float
-) -> Point:
-    """Return the point after a step."""
-    v = np.clip(here.v + z, limits.lower, limits.upper)
-    return expand_error(problem, v, here.stretch * (1.0 + s))
-
-
 class _Program:
-    """The convex program of a step, solved by an interior-point method of CasADi.
+    """Limits of the scaled knots v, and the convex program of a step that keeps them.
 
-    Its variables are z, s, and by how much each residual is above and below zero.
+    Its variables are z, s, and by how much each residual is above and below zero; CasADi solves it
+    by an interior-point method.
     """
 
-    def __init__(self, problem: MinimumTimeProblem, limits: _Limits) -> None:
-        self._problem, self._limits = problem, limits
-        size = limits.lower.size
-        self._free = ~_fixed(problem)
-        self._solver, self._rows = _convex_program(size)
-        after = np.append(problem.durations[1:], 0.0)
-        self.metric = np.repeat(
-            0.5 * (problem.durations + after) / np.mean(problem.durations), INPUT_SIZE
-        )
+    def __init__(self, problem: MinimumTimeProblem) -> None:
+        scale, durations = problem.input_scale, problem.durations
+        self._problem, self._free = problem, ~_fixed(problem)
+        self._lower, self._upper = problem.lower.ravel() / scale, problem.upper.ravel() / scale
+        self._first = problem.input_in_force / scale
+        # Change that is allowed for each knot at a stretch of 1.
+        self._reach = problem.max_acceleration / scale * np.repeat(durations, INPUT_SIZE)
+        self._solver, self._rows = _convex_program(self._reach.size)
+        after = np.append(durations[1:], 0.0)
+        self.metric = np.repeat(0.5 * (durations + after) / np.mean(durations), INPUT_SIZE)
+
+    def kept(self, start: Vector) -> tuple[Vector, float]:
+        """Return knots within the limits, near `start`, and the stretch that this takes.
+
+        Those that can be reached from the start, and of these those from which the last one can.
+        """
+        v = np.clip(start, self._lower, self._upper)
+
+        def move(i: int, other: float, reach: float) -> None:
+            near = np.clip(v[i], other - reach, other + reach)
+            v[i] = np.clip(near, self._lower[i], self._upper[i])
+
+        for i in range(v.size):
+            move(i, v[i - 2] if i >= 2 else self._first[i], self._reach[i])
+        for i in range(v.size - 3, -1, -1):
+            move(i, v[i + 2], self._reach[i + 2])
+        return v, max(1.0, float(np.max(np.abs(self._changes(v)) / self._reach)))
+
+    def moved(self, here: Point, z: Vector, s: float) -> Point:
+        """Return the point after a step."""
+        v = np.clip(here.v + z, self._lower, self._upper)
+        return expand_error(self._problem, v, here.stretch * (1.0 + s))
+
+    def _changes(self, v: Vector) -> Vector:
+        """Return the change of each knot from the one before."""
+        return v - np.concatenate((self._first, v[:-INPUT_SIZE]))
 
     def step(
         self, here: Point, proximal: float, pull: Vector, error: Vector
@@ -272,10 +243,10 @@ class _Program:
 
         `error` is the terminal error that the step is to bring to zero.
         """
-        limits, problem, size = self._limits, self._problem, here.v.size
-        down = np.where(self._free, np.maximum(limits.lower - here.v, -_LARGEST_CHANGE), 0.0)
-        up = np.where(self._free, np.minimum(limits.upper - here.v, _LARGEST_CHANGE), 0.0)
-        reach, change = here.stretch * limits.reach, limits.changes(here.v)
+        problem, size = self._problem, here.v.size
+        down = np.where(self._free, np.maximum(self._lower - here.v, -_LARGEST_CHANGE), 0.0)
+        up = np.where(self._free, np.minimum(self._upper - here.v, _LARGEST_CHANGE), 0.0)
+        reach, change = here.stretch * self._reach, self._changes(here.v)
         infinite = np.full(ROWS, np.inf)
         duration = here.stretch * float(np.sum(problem.durations))
         weights = np.full(2 * ROWS, problem.error_weight)

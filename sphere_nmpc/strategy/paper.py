@@ -26,12 +26,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.problem import (
-    LeastSquaresProblem,
-    Solution,
-    SolverSettings,
-    SolveStatus,
-)
+from sphere_nmpc.solver.problem import LeastSquaresProblem, Solution, SolverSettings, SolveStatus
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus

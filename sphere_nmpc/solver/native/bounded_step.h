@@ -89,12 +89,11 @@ static int dense_step(workspace *w, double damping, int64_t size)
 
 /* The same with H = 2 J^T J + D: solve with the bands, then correct by a 6 x 6 system
  * (Woodbury's formula). */
-static int sparse_step(const problem *p, workspace *w, double damping, const double *states,
-                       int64_t size)
+static int sparse_step(const problem *p, workspace *w, double damping, int64_t size)
 {
     double small[END * END], error[END], *z = w->solved;
     for (int l = 0; l < END; l++)
-        error[l] = state_residual(p, states, p->intervals, l);
+        error[l] = state_residual(p, p->states, p->intervals, l);
     for (int64_t i = 0; i < size; i++) {
         if (w->free[i])
             w->step[i] = 0.0;
@@ -157,7 +156,7 @@ static int sparse_step(const problem *p, workspace *w, double damping, const dou
 }
 
 /* Minimise the damped model within the bounds; 0 where the factorisation fails. */
-static int bounded_step(const problem *p, workspace *w, double damping, const double *states)
+static int bounded_step(const problem *p, workspace *w, double damping)
 {
     const int64_t size = 2 * p->intervals;
     int any = 0;
@@ -171,8 +170,7 @@ static int bounded_step(const problem *p, workspace *w, double damping, const do
     }
     for (int pass = 0; pass < BOUND_PASSES && any; pass++) {
         int crossed = 0;
-        if (!(is_dense(p) ? dense_step(w, damping, size)
-                          : sparse_step(p, w, damping, states, size)))
+        if (!(is_dense(p) ? dense_step(w, damping, size) : sparse_step(p, w, damping, size)))
             return 0;
         any = 0;
         for (int64_t i = 0; i < size; i++) {
@@ -213,25 +211,13 @@ static double predicted_decrease(const problem *p, const workspace *w)
     return -(linear + 0.5 * square);
 }
 
-/* Largest component of P(v - g) - v; NaN where a component of the gradient is not finite, which the
- * projection onto the bounds could hide. */
-static double projected_gradient(const workspace *w, int64_t size)
-{
-    double largest = 0.0;
-    for (int64_t i = 0; i < size; i++) {
-        const double v = w->v[i], gradient = w->gradient[i];
-        if (!isfinite(gradient))
-            return NAN;
-        largest = fmax(largest, fabs(clip(v - gradient, w->lower[i], w->upper[i]) - v));
-    }
-    return largest;
-}
-
 static void prepare(problem *p, workspace *w)
 {
     divide(w, p->workspace, p->intervals);
     p->disturbed = is_disturbed(p->state, p->torques);
     p->stretch = 1.0;
+    p->iterations = 0;
+    p->kkt_residual = INFINITY;
     w->duration = 0.0;
     for (int64_t m = 0; m < p->intervals; m++)
         w->duration += p->durations[m];

@@ -196,10 +196,10 @@ static int64_t collect(int64_t count, int64_t level, int64_t corner, const float
  * are lower than any of longer motions. Return the number of pairs that were compared. `memory`
  * has 14 (count + LANES) floats. */
 int64_t hold_meet(int64_t count, int64_t first, int64_t last, int64_t wanted, double period,
-                  double speed, double delay, double turn_weight, const double *start,
-                  const double *goal, const float *from_start, const float *from_goal,
-                  const int32_t *steady, const int32_t *corners, float *memory, float *scores,
-                  int32_t *periods, int32_t *partners)
+                  double speed, double turn_weight, const double *start, const double *goal,
+                  const float *from_start, const float *from_goal, const int32_t *steady,
+                  const int32_t *corners, float *memory, float *scores, int32_t *periods,
+                  int32_t *partners)
 {
     const int64_t stride = count + LANES;
     float *left = memory, *right = memory + 6 * stride;
@@ -229,7 +229,7 @@ int64_t hold_meet(int64_t count, int64_t first, int64_t last, int64_t wanted, do
                 for (int c = 0; c < 6; c++)
                     x[c] = left[c * stride + i];
                 const float apart = nearest(x, others, stride, right, (float)turn_weight, &which);
-                const float score = (float)((double)n * period) + (float)delay * sqrtf(apart);
+                const float score = (float)((double)n * period) + (float)(1.0 / speed) * sqrtf(apart);
                 if (score < scores[of_left[i]]) {
                     scores[of_left[i]] = score;
                     periods[of_left[i]] = (int32_t)n;

@@ -76,7 +76,7 @@ def _loaded() -> ctypes.CDLL:
         ("hold_propagate", None, [count, number, *[address] * 6]),
         ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 6]),
         ("hold_workspace", count, [count]),
-        ("hold_meet", count, [*[count] * 4, *[number] * 4, *[address] * 10]),
+        ("hold_meet", count, [*[count] * 4, *[number] * 3, *[address] * 10]),
         ("hold_way", None, [*[count] * 3, *[address] * 5]),
         (
             "hold_clearance", number,

@@ -190,8 +190,6 @@ static void minimum_time(problem *p, double began)
         w.free[i] = w.lower[i] < w.upper[i];
     keep_acceleration(p, &w);
     p->status = CAPPED;
-    p->iterations = 0;
-    p->kkt_residual = INFINITY;
     p->cost = merit_at(p, &w, w.v, p->inputs, p->states, error);
     if (!isfinite(p->cost))
         p->status = NOT_FINITE;
@@ -200,7 +198,7 @@ static void minimum_time(problem *p, double began)
     else
         expand_error(p, &w, q.b);
     while (p->status == CAPPED && p->iterations < p->max_iterations) {
-        if (p->time_budget < INFINITY && now() - began > p->time_budget) {
+        if (is_late(p, began)) {
             p->status = BUDGET;
             break;
         }

@@ -99,7 +99,7 @@ static double evaluate(const problem *p, const double *v, double *inputs, double
     return cost_of(p, v, inputs, states);
 }
 
-static void dense_states_part(const problem *p, workspace *w, const double *states)
+static void dense_states_part(const problem *p, workspace *w)
 {
     const int64_t n = p->intervals, size = 2 * n;
     memset(w->chain, 0, (size_t)(STATE * size) * sizeof *w->chain);
@@ -111,7 +111,7 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
         for (int l = 0; l < 6; l++) {
             const double *row = w->chain + l * size;
             const double by_row = weight * state_scale(p, l);
-            const double error = by_row * state_residual(p, states, m + 1, l);
+            const double error = by_row * state_residual(p, p->states, m + 1, l);
             for (int64_t i = 0; i < limit; i++) {
                 const double factor = by_row * state_scale(p, l) * row[i];
                 double *h = w->hessian + i * size;
@@ -128,19 +128,50 @@ static void dense_states_part(const problem *p, workspace *w, const double *stat
     }
 }
 
-/* Gradient and Gauss-Newton Hessian from the intervals' derivatives; the form of the Hessian
- * depends on `is_dense`. */
-static void expand(const problem *p, workspace *w, const double *v, const double *inputs,
-                   const double *states)
+/* Terminal Jacobian and its part of the gradient. */
+static void sparse_states_part(const problem *p, workspace *w)
+{
+    double ends[7][ROW] = {{0.0}};
+    for (int k = 0; k < 4; k++)
+        ends[k][2 + k] = state_scale(p, 2 + k);
+    terminal_rows(p, w, (const double(*)[ROW])ends, NULL);
+    double error[END];
+    for (int l = 0; l < END; l++)
+        error[l] = 2.0 * state_residual(p, p->states, p->intervals, l);
+    for (int64_t i = 0; i < 2 * p->intervals; i++) {
+        double sum = 0.0;
+        for (int l = 0; l < END; l++)
+            sum += error[l] * w->rows[i * ROW + l];
+        w->gradient[i] += sum;
+    }
+}
+
+/* Largest component of P(v - g) - v; NaN where a component of the gradient is not finite, which the
+ * projection onto the bounds could hide. */
+static double projected_gradient(const workspace *w, int64_t size)
+{
+    double largest = 0.0;
+    for (int64_t i = 0; i < size; i++) {
+        const double v = w->v[i], gradient = w->gradient[i];
+        if (!isfinite(gradient))
+            return NAN;
+        largest = fmax(largest, fabs(clip(v - gradient, w->lower[i], w->upper[i]) - v));
+    }
+    return largest;
+}
+
+/* Gradient, its projection and Gauss-Newton Hessian at the point of the solve from the intervals'
+ * derivatives; the form of the Hessian depends on `is_dense`. */
+static void expand(problem *p, workspace *w)
 {
     const int64_t size = 2 * p->intervals;
     for (int64_t i = 0; i < size; i++) {
         w->diagonal[i] = 2.0 * p->input_weight;
         w->subdiagonal[i] = 0.0;
-        w->partial_gradient[i] = 2.0 * p->input_weight * input_excess(p, v, i);
+        w->partial_gradient[i] = 2.0 * p->input_weight * input_excess(p, w->v, i);
     }
     for (int64_t i = 0; i < size; i++) {
-        const double excess = slew_excess(p, inputs, i);
+        const double excess = slew_excess(p, p->inputs, i);
         if (excess == 0.0)
             continue;
         w->partial_gradient[i] += 2.0 * excess;
@@ -152,21 +183,6 @@ static void expand(const problem *p, workspace *w, const double *v, const double
         w->subdiagonal[i] = -2.0;
     }
     memcpy(w->gradient, w->partial_gradient, (size_t)size * sizeof *w->gradient);
-    if (is_dense(p)) {
-        dense_states_part(p, w, states);
-        return;
-    }
-    double ends[7][ROW] = {{0.0}};
-    for (int k = 0; k < 4; k++)
-        ends[k][2 + k] = state_scale(p, 2 + k);
-    terminal_rows(p, w, (const double(*)[ROW])ends, NULL);
-    double error[END];
-    for (int l = 0; l < END; l++)
-        error[l] = 2.0 * state_residual(p, states, p->intervals, l);
-    for (int64_t i = 0; i < size; i++) {
-        double sum = 0.0;
-        for (int l = 0; l < END; l++)
-            sum += error[l] * w->rows[i * ROW + l];
-        w->gradient[i] += sum;
-    }
+    (is_dense(p) ? dense_states_part : sparse_states_part)(p, w);
+    p->kkt_residual = projected_gradient(w, size);
 }

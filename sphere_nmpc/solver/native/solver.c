@@ -28,6 +28,13 @@ static double now(void)
 }
 
 #include "problem.h"
+
+/* Whether the time budget of a solve that began at a reading of the clock is used up. */
+static int is_late(const problem *p, double began)
+{
+    return p->time_budget < INFINITY && now() - began > p->time_budget;
+}
+
 #include "vectors.h"
 #include "kernels.h"
 #include "quadratic_program.h"
@@ -56,42 +63,35 @@ const char *hold_level(void)
 
 const int64_t hold_layout = LAYOUT;
 
+#define RUNNING -1
+
+static int64_t status_of(const problem *p, double began, double damping, int small)
+{
+    if (!isfinite(p->kkt_residual))
+        return NOT_FINITE;
+    if (small || p->kkt_residual <= p->gradient_tolerance || p->cost <= p->target_cost)
+        return CONVERGED;
+    if (damping > MAX_DAMPING)
+        return STALLED;
+    if (p->iterations >= p->max_iterations)
+        return CAPPED;
+    return is_late(p, began) ? BUDGET : RUNNING;
+}
+
 static void least_squares(problem *p, double began)
 {
     workspace w;
     const int64_t size = 2 * p->intervals;
     double damping = p->initial_damping, growth = 2.0;
-    int expanded = 0, small = 0;
+    int small = 0;
     prepare(p, &w);
-    p->status = CAPPED;
-    p->iterations = 0;
-    p->kkt_residual = INFINITY;
     p->cost = evaluate(p, w.v, p->inputs, p->states, w.interval);
-    if (!isfinite(p->cost))
-        p->status = NOT_FINITE;
-    while (p->status != NOT_FINITE) {
-        if (!expanded) {
-            expand(p, &w, w.v, p->inputs, p->states);
-            expanded = 1;
-            p->kkt_residual = projected_gradient(&w, size);
-            if (!isfinite(p->kkt_residual)) {
-                p->status = NOT_FINITE;
-                break;
-            }
-            if (small || p->kkt_residual <= p->gradient_tolerance || p->cost <= p->target_cost) {
-                p->status = CONVERGED;
-                break;
-            }
-        }
-        if (p->iterations >= p->max_iterations)
-            break;
-        if (p->time_budget < INFINITY && now() - began > p->time_budget) {
-            p->status = BUDGET;
-            break;
-        }
-        p->iterations++;
+    if (isfinite(p->cost))
+        expand(p, &w);
+    while ((p->status = status_of(p, began, damping, small)) == RUNNING) {
         double value = NAN;
-        if (bounded_step(p, &w, damping, p->states)) {
+        p->iterations++;
+        if (bounded_step(p, &w, damping)) {
             for (int64_t i = 0; i < size; i++)
                 w.trial[i] = clip(w.v[i] + w.step[i], w.lower[i], w.upper[i]);
             value = evaluate(p, w.trial, w.inputs, w.states, w.interval);
@@ -106,14 +106,10 @@ static void least_squares(problem *p, double began)
             growth = 2.0;
             accept_trial(p, &w);
             p->cost = value;
-            expanded = 0;
+            expand(p, &w);
         } else {
             damping *= growth;
             growth *= 2.0;
-            if (damping > MAX_DAMPING) {
-                p->status = STALLED;
-                break;
-            }
         }
     }
 }

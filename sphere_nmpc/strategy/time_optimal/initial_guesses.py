@@ -69,8 +69,8 @@ def meeting_guesses(
         Share of the half motions and guesses of the settings that are drawn.
     settings : TimeOptimalSettings
         Numbers of half motions and of guesses; distribution of the switches; weight of the
-        orientation and delay for each metre by which half motions miss each other: the best
-        guesses are those of the least sum of duration and delay.
+        orientation in the distance by which half motions miss each other: the best guesses are
+        those of the least sum of duration and time for this distance.
     left_out : ndarray, shape (2,)
         Displacement by steady rolling that is left out of the motions [m].
 
@@ -101,7 +101,7 @@ def meeting_guesses(
     back = without_collisions(situation, back, left_out)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
-        1.0 / speed, settings.turn_weight * radius**2,
+        settings.turn_weight * radius**2,
     )
     best = np.argsort(found.scores, kind="stable")[:wanted]
     best = best[np.isfinite(found.scores[best])]

@@ -82,7 +82,7 @@ def test_knots_satisfy_the_limits(ramp: float) -> None:
 def test_both_find_the_same_meetings() -> None:
     forth, back = both_sides(3, np.zeros(2))
     found, plain = (
-        each(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
+        each(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, turn_weight=2.0)
         for each in (meet, plain_meet)
     )
     assert found.pairs == plain.pairs > 1000
@@ -95,14 +95,14 @@ def test_both_find_the_same_meetings() -> None:
 
 def test_pair_that_meets_is_a_motion_to_the_goal() -> None:
     forth, back = both_sides(4, np.zeros(2))
-    found = meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, delay=1.0, turn_weight=2.0)
+    found = meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, turn_weight=2.0)
     knots = knots_of(signals(4), LEVELS, np.zeros(2), DRIVES)
     for i in np.argsort(found.scores)[:5]:
         j, periods = found.partners[i], int(found.periods[i])
         before, after = (periods + 1) // 2, periods // 2
         left, right = forth.states[before, :, i], back.states[after, :, j]
         apart = np.sum((left[:2] - right[:2]) ** 2) + 4.0 * (1.0 - abs(left[2:] @ right[2:]))
-        assert found.scores[i] == pytest.approx(0.25 * periods + np.sqrt(apart), abs=1e-3)
+        assert found.scores[i] == pytest.approx(0.25 * periods + np.sqrt(apart) / SPEED, abs=1e-3)
         # The rotors go on as they are, and back along the way from the goal with opposite speeds.
         np.testing.assert_allclose(knots[before, :, i], -knots[after, :, j], atol=0.1)
         rest = -knots[: after + 1, :, j][::-1]

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compiled_solver import compiled
+from compiled_solver import solve_compiled, solve_plain
 from scipy.optimize import minimize
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import rest_speeds
 from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.minimum_time import expand_error, minimise_time
-from sphere_nmpc.solver.problem import MinimumTimeProblem, Solution, SolverSettings, SolveStatus
-from sphere_nmpc.solver.solve import solve as solve_either
+from sphere_nmpc.solver.minimum_time import expand_error
+from sphere_nmpc.solver.problem import MinimumTimeProblem, SolveStatus
 
 STEP = 1e-6
 """Of a scaled input; a central difference is then good to about 1e-9."""
@@ -56,21 +55,6 @@ def make(request: pytest.FixtureRequest, make_problem: Any) -> Callable[[int], M
         return replace(problem, lower=lower, upper=upper)
 
     return made
-
-
-def solve_compiled(
-    problem: MinimumTimeProblem, start: Vector, time_budget: float = np.inf, **settings: Any
-) -> Solution:
-    assert compiled() is not None
-    settings = {"initial_damping": 1.0, **settings}
-    return solve_either(problem, start, SolverSettings(**settings), time_budget)
-
-
-def solve_plain(
-    problem: MinimumTimeProblem, start: Vector, time_budget: float = np.inf, **settings: Any
-) -> Solution:
-    settings = {"initial_damping": 1.0, **settings}
-    return minimise_time(problem, start, SolverSettings(**settings), time_budget)
 
 
 @pytest.fixture(params=[solve_compiled, solve_plain], ids=["compiled", "plain"])

@@ -5,26 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compiled_solver import compiled
+from compiled_solver import solve_compiled, solve_plain
 
-from sphere_nmpc.solver.plain import expand, minimise
-from sphere_nmpc.solver.problem import SolverSettings, SolveStatus
-from sphere_nmpc.solver.solve import solve as solve_either
+from sphere_nmpc.solver.plain import expand
+from sphere_nmpc.solver.problem import SolveStatus
 
 
-@pytest.fixture(params=("compiled", "plain"))
+@pytest.fixture(params=(solve_compiled, solve_plain), ids=("compiled", "plain"))
 def solve(request):
-    """Return the function ``(problem, start, settings)`` of one of the solvers."""
-    return solve_compiled if request.param == "compiled" else solve_plain
-
-
-def solve_compiled(problem, start, time_budget=np.inf, **settings):
-    assert compiled() is not None
-    return solve_either(problem, start, SolverSettings(**settings), time_budget)
-
-
-def solve_plain(problem, start, time_budget=np.inf, **settings):
-    return minimise(problem, start, SolverSettings(**settings), time_budget)
+    return request.param
 
 
 def rest_start(problem):
@@ -176,14 +165,13 @@ class TestStatus:
 
 
 def test_many_threads_solve_at_once(make_problem):
-    settings = SolverSettings(max_iterations=20)
     problems = [make_problem("paper", seed) for seed in range(16)]
-    alone = [solve_either(problem, rest_start(problem), settings) for problem in problems]
+    alone = [solve_compiled(each, rest_start(each), max_iterations=20) for each in problems]
     together = [None] * len(problems)
 
     def work(i):
         for _ in range(20):
-            together[i] = solve_either(problems[i], rest_start(problems[i]), settings)
+            together[i] = solve_compiled(problems[i], rest_start(problems[i]), max_iterations=20)
 
     threads = [threading.Thread(target=work, args=(i,)) for i in range(len(problems))]
     for thread in threads:

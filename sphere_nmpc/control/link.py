@@ -15,7 +15,6 @@ from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 REACH = 3.0
@@ -84,7 +83,7 @@ class Commands:
         in_force = self.in_force(time)
         if self._stop is not None and self._stop is self.sent.newest:
             return in_force
-        return stop_on_path(in_force, self._max_acceleration)
+        return in_force.stop(time, self._max_acceleration)
 
     def record(self, hold: FirstOrderHold, stops: bool) -> None:
         """Record a hold as sent; `stops` says whether it is a stop."""
@@ -108,10 +107,9 @@ class Commands:
         last = start + max(reach, 2.0 * period)
         led = self.sent.leading_to(hold, start)
         if led.end > last:
-            stop = stop_on_path(led.starting_at(last, led.at(last)), self._max_acceleration)
-            led = led.until(last).followed_by(stop)
+            led = led.stop(last, self._max_acceleration)
         limited = led.in_nanoseconds().limited(self._max_speed, self._max_acceleration)
-        return limited.ending_at_rest(self._max_acceleration)
+        return limited.stop(limited.end, self._max_acceleration)
 
 
 class PoseLink:

@@ -15,7 +15,6 @@ from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 
@@ -88,7 +87,7 @@ class Commands:
         in_force = self.in_force(time)
         if self._stops and self._newest is not None and self._newest is self.sent.newest:
             return in_force
-        return stop_on_path(in_force, self._max_acceleration)
+        return in_force.stop(time, self._max_acceleration)
 
     def rest_of(self, hold: FirstOrderHold, time: float) -> FirstOrderHold | None:
         """Return the rest of the newest command from `time` on if it follows a hold, else None.
@@ -131,10 +130,9 @@ class Commands:
         last = start + max(reach, 2.0 * period)
         led = self.sent.leading_to(hold, start)
         if led.end > last:
-            stop = stop_on_path(led.starting_at(last, led.at(last)), self._max_acceleration)
-            led = led.until(last).followed_by(stop)
+            led = led.stop(last, self._max_acceleration)
         limited = led.in_nanoseconds().limited(self._max_speed, self._max_acceleration)
-        return limited.ending_at_rest(self._max_acceleration)
+        return limited.stop(limited.end, self._max_acceleration)
 
 
 class PoseLink:

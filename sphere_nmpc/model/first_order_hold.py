@@ -18,6 +18,10 @@ FASTEST = 1e6
 SHORTEST = 1e-6
 """Shortest interval between two knots of a command [s]: a thousand times the resolution of a
 stamp."""
+_STEP = 0.02
+"""Spacing of the knots of a stop [s]: between them it leaves the path by less than 0.4 mm."""
+_SHARE = 1.0 - 1e-8
+"""Share of the limit that is used, as what exceeds it by rounding would have to be made up for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,27 +93,6 @@ class FirstOrderHold:
     def constant(cls, time: float, speeds: Vector) -> "FirstOrderHold":
         """Return a hold of one knot: constant speeds."""
         return cls(np.array([time]), np.asarray(speeds, dtype=float).reshape(1, INPUT_SIZE))
-
-    @classmethod
-    def ramp_to_rest(
-        cls, time: float, speeds: Vector, max_acceleration: float
-    ) -> "FirstOrderHold":
-        """Return the ramp to zero from `speeds`, shape (2,) [rad/s], at `time` [s].
-
-        Both rotors reach zero at the same time, within the largest acceleration [rad/s^2].
-        """
-        fastest = max(map(abs, np.asarray(speeds).tolist()))
-        if fastest == 0.0:
-            return cls.constant(time, np.zeros(INPUT_SIZE))
-        # Rounded up to nanoseconds, as stamps are: a shorter ramp would exceed the limit.
-        shortest = fastest / max_acceleration
-        end = time + max(SHORTEST, math.ceil(shortest * NANOSECONDS) / NANOSECONDS)
-        if end - time < shortest:  # on a clock that counts from 1970 a float resolves 2e-7 s
-            end = math.nextafter(end, math.inf)
-        times = np.array([time, end])
-        knots = np.zeros((2, INPUT_SIZE))
-        knots[0] = speeds
-        return cls(times, knots)
 
     def at(self, time: float) -> Vector:
         """Return the rotor speeds at `time` [rad/s], shape (2,)."""
@@ -187,29 +170,98 @@ class FirstOrderHold:
             return FirstOrderHold._unchecked(times[kept], self.speeds[kept])
         return FirstOrderHold._unchecked(times, self.speeds)
 
-    def ending_at_rest(self, max_acceleration: float) -> "FirstOrderHold":
-        """Return the hold with a ramp to rest after its last knot, unless that is zero."""
-        last = self.speeds[-1]
-        if not last.any():
+    def stop(self, time: float, max_acceleration: float) -> "FirstOrderHold":
+        """Return the hold up to `time` [s], and from then on to rest as soon as possible.
+
+        Without momentum the motion has no drift: at the rotor speeds sigma u(s), ds/dt = sigma,
+        the sphere passes the same poses as at the speeds u(t), at another pace sigma. The pace
+        falls from one to zero as fast as the limit of the rotors' acceleration [rad/s^2] allows,
+        which a rotor that is just being reversed uses already. After the last knot it is a ramp,
+        at the end of which both rotors rest. The hold exceeds no limit.
+        """
+        if time < self.end:
+            rest = self.starting_at(time, self.at(time)) if time > self.start else self
+            slowed = _slowed(rest, _SHARE * max_acceleration)
+            if time > self.start:
+                slowed = self.until(time).followed_by(slowed)
+            return slowed.stop(slowed.end, max_acceleration)
+        fastest = max(map(abs, self.speeds[-1].tolist()))
+        if fastest == 0.0:
             return self
-        return self.followed_by(FirstOrderHold.ramp_to_rest(self.end, last, max_acceleration))
+        # Rounded up to nanoseconds, as stamps are: a shorter ramp would exceed the limit.
+        shortest, began = fastest / max_acceleration, self.end
+        end = began + max(SHORTEST, math.ceil(shortest * NANOSECONDS) / NANOSECONDS)
+        if end - began < shortest:  # on a clock that counts from 1970 a float resolves 2e-7 s
+            end = math.nextafter(end, math.inf)
+        times, speeds = np.append(self.times, end), np.vstack((self.speeds, np.zeros(INPUT_SIZE)))
+        return FirstOrderHold._unchecked(times, speeds)
 
     def limited(self, max_speed: float, max_acceleration: float) -> "FirstOrderHold":
         """Return the hold with each knot, from first to last, clipped to the limits.
 
         They are in rad/s and rad/s^2; the first knot, the speeds in force, is not changed.
         """
-        speeds = self.speeds
-        reach = max_acceleration * np.diff(self.times)[:, None]
-        low, high = speeds[:-1] - reach, speeds[:-1] + reach
-        later = speeds[1:]
-        if ((low <= later) & (later <= high) & (np.abs(later) <= max_speed)).all():
+        speeds, changes = self.speeds, max_acceleration * np.diff(self.times)[:, None]
+        before, after = speeds[:-1], speeds[1:]
+        kept = (before - changes <= after) & (after <= before + changes)
+        if (kept & (np.abs(after) <= max_speed)).all():
             return self
         times, rows = self._knots, speeds.tolist()
         for i in range(1, len(times)):
             reach = max_acceleration * (times[i] - times[i - 1])
             for rotor in range(INPUT_SIZE):
-                before = rows[i - 1][rotor]
+                last = rows[i - 1][rotor]
                 wanted = min(max(rows[i][rotor], -max_speed), max_speed)
-                rows[i][rotor] = min(max(wanted, before - reach), before + reach)
+                rows[i][rotor] = min(max(wanted, last - reach), last + reach)
         return FirstOrderHold._unchecked(self.times.copy(), np.array(rows))
+
+
+def _slowed(hold: FirstOrderHold, limit: float) -> FirstOrderHold:
+    """Return a hold at a falling pace, up to where only a ramp is left; see `stop`."""
+    times, rows = hold.times.tolist(), hold.speeds.tolist()
+
+    def planned(time: float) -> tuple[float, float]:
+        # Every command has such a stop at its end; single values are fastest in lists.
+        i = bisect_right(times, time)
+        if i == len(times):
+            return rows[-1][0], rows[-1][1]
+        share = (time - times[i - 1]) / (times[i] - times[i - 1])
+        (x, y), (next_x, next_y) = rows[i - 1], rows[i]
+        return x + share * (next_x - x), y + share * (next_y - y)
+
+    reach, place, pace = limit * _STEP, hold.start, 1.0
+    first, second = rows[0]
+    knots = [(first, second)]
+    while (first or second) and place < hold.end:
+        # A lower pace leads to a place between these two.
+        x, y = planned(place + 0.5 * pace * _STEP)
+        next_x, next_y = planned(place + pace * _STEP)
+        slower = max(
+            _slowest(first, x, (next_x - x) / pace, reach),
+            _slowest(second, y, (next_y - y) / pace, reach),
+        )
+        if slower == 0.0:
+            break
+        slower = min(slower, pace)
+        place, pace = place + 0.5 * (pace + slower) * _STEP, slower
+        x, y = planned(place)
+        first, second = pace * x, pace * y
+        knots.append((first, second))
+    spaced: Vector = hold.start + _STEP * np.arange(len(knots), dtype=np.float64)
+    return FirstOrderHold(spaced, np.array(knots)).limited(math.inf, limit)
+
+
+def _slowest(speed: float, planned: float, rise: float, reach: float) -> float:
+    """Return the lowest pace p at the next knot for a rotor that turns at `speed` now [rad/s].
+
+    Its speed there is p (planned + rise p), and may be lower than now by `reach` [rad/s]. It is
+    infinite where the plan itself slows this rotor down as fast as that.
+    """
+    if speed < 0.0:
+        speed, planned, rise = -speed, -planned, -rise
+    least = speed - reach
+    if least <= 0.0:
+        return 0.0
+    square = planned * planned + 4.0 * rise * least
+    divisor = planned + math.sqrt(square) if square >= 0.0 else 0.0
+    return 2.0 * least / divisor if divisor > 0.0 else math.inf

@@ -17,7 +17,6 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import Disturbance, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -86,17 +85,6 @@ def hold_momentum(
     )
 
 
-def ramp_to(
-    time: float, speeds: Vector, target: Vector, max_acceleration: float
-) -> FirstOrderHold:
-    """Return the ramp from rotor `speeds` at `time` to `target`, both of shape (2,) [rad/s].
-
-    Both rotors end it at the same time.
-    """
-    ramp = FirstOrderHold.ramp_to_rest(time, speeds - target, max_acceleration)
-    return FirstOrderHold(ramp.times, ramp.speeds + target)
-
-
 def come_to_rest(
     situation: Situation, robot: RobotParameters, message: str,
     status: PlanStatus = PlanStatus.HOLDING,
@@ -105,8 +93,10 @@ def come_to_rest(
     momentum, quaternion = situation.momentum, situation.state[QUATERNION]
     limit = robot.max_rotor_speed
     target = speeds_of_rest(momentum, quaternion, limit)
-    in_force = situation.input_in_force
-    hold = ramp_to(situation.time, in_force, target, robot.max_rotor_acceleration)
+    # The rotors rest, but for the speeds that hold the momentum.
+    beyond = FirstOrderHold.constant(situation.time, situation.input_in_force - target)
+    ramp = beyond.stop(situation.time, robot.max_rotor_acceleration)
+    hold = FirstOrderHold(ramp.times, ramp.speeds + target)
     hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
     states: Vector = situation.state[None, :]
     return Plan(status, hold, states, message=message)
@@ -120,7 +110,8 @@ def stop(situation: Situation, robot: RobotParameters, message: str, given_up: s
         plan = come_to_rest(situation, robot, message, status)
         return replace(plan, given_up=given_up)
     in_force = in_force.starting_at(situation.time, situation.input_in_force)
-    hold = stop_on_path(in_force, min(robot.max_rotor_acceleration, situation.acceleration))
+    limit = min(robot.max_rotor_acceleration, situation.acceleration)
+    hold = in_force.stop(situation.time, limit)
     return Plan(status, hold, situation.state[None, :], message=message, given_up=given_up)
 
 

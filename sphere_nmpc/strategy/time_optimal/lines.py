@@ -77,12 +77,12 @@ def speeds_along(
     """
     power, axis = 1.0 / (1.0 - constants.axial_ratio), np.array((-direction[1], direction[0], 0.0))
     z = rotation.matrix(quaternion)[:, 2]
+    side = math.copysign(1.0, z[2])
     constant = 0.0 if abs(z[2]) < _HORIZONTAL else float(z @ axis) / abs(z[2]) ** power
 
     def turning(turn: Vector) -> Vector:
         """Return the angular velocity at an orientation, for 1 rad/s of rolling."""
-        vertical = float(turn[2, 2])
-        spin = -power * constant * math.copysign(abs(vertical) ** (power - 1.0), vertical)
+        spin = -power * constant * side * max(0.0, side * float(turn[2, 2])) ** (power - 1.0)
         return np.array((axis[0], axis[1], spin))
 
     angles, speeds, done, longest = [0.0], list[Vector](), 0.0, min(_STEP, 0.25 * angle)
@@ -96,7 +96,7 @@ def speeds_along(
         middle = rotation.product(rotation.exponential(0.5 * step * rate), quaternion)
         rate = turning(rotation.matrix(middle))
         quaternion = rotation.product(rotation.exponential(step * rate), quaternion)
-        if turn[2, 2] * rotation.matrix(quaternion)[2, 2] < 0.0:
+        if side * rotation.matrix(quaternion)[2, 2] < 0.0:
             constant = 0.0
         done = angle if angle - done - step < 1e-9 * angle else done + step
         angles.append(done)

@@ -80,16 +80,16 @@ def test_limited_hold_keeps_both_limits_for_any_hold(hold: FirstOrderHold) -> No
 def test_hold_within_the_limits_is_unchanged_and_ends_at_rest(hold: FirstOrderHold) -> None:
     same = hold.limited(300.0, 1.01 * largest_slope(hold) + 1.0)
     np.testing.assert_array_equal(same.speeds, hold.speeds)
-    ended = same.ending_at_rest(MAX_ACCELERATION)
+    ended = same.stop(same.end, MAX_ACCELERATION)
     np.testing.assert_array_equal(ended.speeds[: len(hold.speeds)], hold.speeds)
     assert not ended.speeds[-1].any()
 
 
 @given(speeds=speed_pairs, time=st.sampled_from([0.0, 12.5, EPOCH]))
-def test_ramp_to_rest_ends_at_rest_within_the_limit_of_acceleration(
+def test_stop_of_constant_speeds_is_a_ramp_within_the_limit_of_acceleration(
     speeds: Vector, time: float
 ) -> None:
-    ramp = FirstOrderHold.ramp_to_rest(time, speeds, MAX_ACCELERATION)
+    ramp = FirstOrderHold.constant(time, speeds).stop(time, MAX_ACCELERATION)
     np.testing.assert_array_equal(ramp.at(ramp.end), [0.0, 0.0])
     assert ramp.start == time
     assert largest_slope(ramp) <= MAX_ACCELERATION * (1.0 + 1e-15)

@@ -19,7 +19,13 @@ from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector, state_error, without_momentum
+from sphere_nmpc.model.state import (
+    POSITION,
+    QUATERNION,
+    Vector,
+    state_error,
+    without_momentum,
+)
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import (
@@ -31,7 +37,7 @@ from sphere_nmpc.strategy.clearance import (
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus, Unreachable
-from sphere_nmpc.strategy.time_optimal.lines import line_hold
+from sphere_nmpc.strategy.time_optimal.lines import line_hold, speeds_along
 from sphere_nmpc.strategy.time_optimal.searches import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.world.plant.factory import make_plant
@@ -86,36 +92,52 @@ def clearance(floor: Floor, places: Vector) -> float:
     return least_distance(floor, places) - RADIUS
 
 
-def test_straight_lines_from_any_orientation() -> None:
-    """The path leaves the line by 1 mm or so, and by no more than half a per cent of its length.
+def tilted(z_vertical: float, rng: np.random.Generator) -> Vector:
+    """Return an orientation whose body's z axis has this vertical component."""
+    turn = rotation.exponential(np.array((math.acos(z_vertical), 0.0, 0.0)))
+    about = [rotation.exponential(np.array((0.0, 0.0, a))) for a in rng.uniform(-3.0, 3.0, 2)]
+    return rotation.product(about[0], rotation.product(turn, about[1]))
 
-    Its speeds are linear between knots; where the body's z axis is nearly horizontal it leads
-    along the line on which the sphere then rolls without a spin.
-    """
-    rng = np.random.default_rng(0)
-    slow, across = 0, []
-    for _ in range(40):
-        state = without_momentum(pose(0.0, 0.0, tuple(rotation.random_quaternion(rng))))
+
+@pytest.mark.parametrize("vertical", [None, 0.1, 0.0068, -0.004, 0.0])
+def test_straight_lines_from_any_orientation(vertical: float | None) -> None:
+    """The path of the model leaves the line by 3 mm at the most, and by 1 mm in the median."""
+    rng, across = np.random.default_rng(0), []
+    for _ in range(40 if vertical is None else 10):
+        turn = rotation.random_quaternion(rng) if vertical is None else tilted(vertical, rng)
+        state = without_momentum(pose(0.0, 0.0, tuple(turn)))
         target = rng.uniform(-1.5, 1.5, 2)
         hold = line_hold(state, target, ROBOT.lumped, SOLVER)
-        if hold is None:
-            slow += 1
-            continue
+        assert hold is not None and not hold.speeds[[0, -1]].any()
         assert np.abs(hold.speeds).max() <= ROBOT.max_rotor_speed
         slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
         assert np.abs(slopes).max() <= ROBOT.max_rotor_acceleration
-        assert not hold.speeds[0].any()
-        assert not hold.speeds[-1].any()
         times = np.linspace(0.0, hold.end, 500)
         path = roll_out(
             state, hold.resampled(times).speeds, np.diff(times), ROBOT.lumped.as_array()
         )[:, POSITION]
         along = target / np.linalg.norm(target)
         across.append(np.abs(path @ np.array((-along[1], along[0]))).max())
-        assert across[-1] < 1e-3 + 6e-3 * np.linalg.norm(target)
-        assert np.linalg.norm(path[-1] - target) < 1e-3 + 6e-3 * np.linalg.norm(target)
-    assert slow < 4
-    assert np.median(across) < 1.5e-3
+        assert np.linalg.norm(path[-1] - target) < 3e-3
+    assert max(across) < 3e-3 and np.median(across) < 1e-3
+
+
+def test_the_constant_of_a_line_is_kept_up_to_the_circle() -> None:
+    """That of the motion that the rotor speeds lead to, integrated in finite steps."""
+    rng, power = np.random.default_rng(3), 1.0 / (1.0 - ROBOT.lumped.axial_ratio)
+    for _ in range(5):
+        turn, heading = tilted(0.4, rng), rng.uniform(-3.0, 3.0)
+        direction = np.array((math.cos(heading), math.sin(heading)))
+        axis = np.array((-direction[1], direction[0], 0.0))
+        at, speeds = speeds_along(turn, direction, 3.0, ROBOT.lumped)
+        state = without_momentum(pose(0.0, 0.0, tuple(turn)))
+        states = roll_out(state, speeds, np.diff(at), ROBOT.lumped.as_array())
+        z = np.array([rotation.matrix(q)[:, 2] for q in states[:, QUATERNION]])
+        before = np.minimum.accumulate(z[:, 2]) > 0.0
+        constant = z[0] @ axis / z[0, 2] ** power
+        expected = np.where(before, constant * np.abs(z[:, 2]) ** power, 0.0)
+        np.testing.assert_allclose(z @ axis, expected, atol=1e-3)
+        np.testing.assert_allclose(states[-1, POSITION], 3.0 * RADIUS * direction, atol=1e-3)
 
 
 def test_the_certificate_bounds_the_clearance_of_the_motion() -> None:

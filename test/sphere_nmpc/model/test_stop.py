@@ -10,7 +10,6 @@ from paths import largest_distance, moved
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.path_stop import stop_on_path
 from sphere_nmpc.model.state import POSE, Vector, without_momentum
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
@@ -45,7 +44,7 @@ def test_sphere_stops_on_its_path_within_half_a_second() -> None:
         path = moved(start, hold, 0.0, hold.end, SPACING)
         for time in rng.uniform(0.0, hold.end, 5):
             here = moved(start, hold, 0.0, time, SPACING)[-1]
-            stop = stop_on_path(hold.starting_at(time, hold.at(time)), LIMIT)
+            stop = hold.starting_at(time, hold.at(time)).stop(time, LIMIT)
             durations.append(stop.end - time)
             np.testing.assert_array_equal(stop.speeds[0], hold.at(time))
             assert not stop.speeds[-1].any()
@@ -54,27 +53,27 @@ def test_sphere_stops_on_its_path_within_half_a_second() -> None:
             assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-9)
             stopped = moved(here, stop, time, stop.end, SPACING)
             assert largest_distance(stopped[:, POSE], path[:, POSE]) < OFF
-            ramp = FirstOrderHold.ramp_to_rest(time, hold.at(time), LIMIT)
+            ramp = FirstOrderHold.constant(time, hold.at(time)).stop(time, LIMIT)
             assert stop.end <= max(ramp.end + 0.25, time + 0.5)
     assert max(durations) < 0.5
 
 
 def test_steady_rolling_stops_as_fast_as_a_ramp() -> None:
     hold = FirstOrderHold(np.array([2.0, 9.0, 9.5]), np.array([[60.0, -30.0]] * 2 + [[0.0, 0.0]]))
-    assert stop_on_path(hold, LIMIT).end - 2.0 == pytest.approx(60.0 / LIMIT, abs=1e-6)
+    assert hold.stop(2.0, LIMIT).end - 2.0 == pytest.approx(60.0 / LIMIT, abs=1e-6)
 
 
 @pytest.mark.parametrize("speeds", [[[0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]]])
 def test_sphere_at_rest_stays_there(speeds: list[list[float]]) -> None:
     hold = FirstOrderHold(np.arange(len(speeds), dtype=float), np.array(speeds))
-    assert not stop_on_path(hold, LIMIT).speeds.any()
+    assert not hold.stop(0.0, LIMIT).speeds.any()
 
 
 def test_stop_of_a_stop_takes_no_longer() -> None:
     _, hold = plans()[0]
     time = 0.4 * hold.end
-    stop = stop_on_path(hold.starting_at(time, hold.at(time)), LIMIT)
+    stop = hold.starting_at(time, hold.at(time)).stop(time, LIMIT)
     later = 0.5 * (time + stop.end)
-    again = stop_on_path(stop.starting_at(later, stop.at(later)), LIMIT)
+    again = stop.stop(later, LIMIT)
     assert again.end <= stop.end + 1e-6
     assert float(np.linalg.norm(again.at(again.end))) == 0.0

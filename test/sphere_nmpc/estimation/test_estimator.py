@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
 
-from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.interval import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
+from sphere_nmpc.estimation.pose_filter import PlantEstimate
 from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -191,7 +191,7 @@ def test_worker_that_is_busy_for_long_gets_few_tasks_and_then_longer_intervals(
     sent: SentInputs, settings: ControllerSettings
 ) -> None:
     clock = Clock()
-    worker = DelayedWorker(clock, DURATION)
+    worker = DelayedWorker(clock, DURATION + 0.1)
     found = Estimator(settings, LUMPED, sent, worker=worker)
     track(found, sent, clock=clock, poses_per_tick=5)
     assert len(worker.tasks) == 4

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
+from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,

@@ -4,8 +4,8 @@
 
 import numpy as np
 
-from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
+from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model.error_state import apply_error, error_between

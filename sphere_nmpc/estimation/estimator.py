@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import (
     Estimate,
@@ -18,10 +18,9 @@ from sphere_nmpc.estimation.pose_filter import (
     PlantEstimate,
     PoseFilter,
 )
-from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
-from sphere_nmpc.estimation.unknowns import KNOT, Scaling
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector

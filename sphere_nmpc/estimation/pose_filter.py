@@ -5,15 +5,14 @@
 from bisect import bisect_left
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.estimation.events import noise_variance
+from sphere_nmpc.estimation.hypotheses import noise_variance
 from sphere_nmpc.estimation.motion import pose_rate
-from sphere_nmpc.estimation.posterior import Posterior
-from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.estimation.unknowns import (
+from sphere_nmpc.estimation.posterior import (
     CONSTANTS,
     DISTURBANCE,
     IMBALANCE,
@@ -22,8 +21,10 @@ from sphere_nmpc.estimation.unknowns import (
     MOMENTUM_ERROR,
     POSE_ERROR,
     SLOPE_ERROR,
+    Posterior,
     Scaling,
 )
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
 from sphere_nmpc.model.parameters import LumpedConstants
@@ -110,13 +111,10 @@ class Belief(NamedTuple):
         Mean.
     covariance : ndarray, shape (19, 19)
         That of the local unknowns; of no meaning where poses are trusted exactly.
-    left_out : int
-        Number of poses in a row, up to this one, that were left out as improbable.
     """
 
     state: Vector
     covariance: Vector
-    left_out: int = 0
 
 
 @dataclass(eq=False)
@@ -127,11 +125,8 @@ class MeasuredPose:
     pose: Vector
     belief: Belief | None = None
     """What this pose and those before it tell; None as long as that has not been asked for."""
-
-    @property
-    def is_outlier(self) -> bool:
-        """Whether it was left out as improbable."""
-        return self.belief is not None and self.belief.left_out > 0
+    is_outlier: bool = False
+    """Whether it was left out as improbable."""
 
 
 class PoseFilter:
@@ -226,48 +221,55 @@ class PoseFilter:
 
     def _newest(self) -> Belief:
         """Return the belief at the newest pose; those since the last belief are fused."""
-        poses, last = self.poses, len(self.poses) - 1
-        while last > 0 and poses[last].belief is None:
-            last -= 1
-        before = poses[last]
-        belief = before.belief or self._began_at(before)
-        before.belief, since = belief, last + 1
-        # Exact poses before the newest tell nothing more.
-        for one in poses[since if self.is_noisy else max(since, len(poses) - 1) :]:
-            one.belief = belief = self._fused(belief, before.time, one)
-            before = one
+        poses, known = self.poses, len(self.poses) - 1
+        while known > 0 and poses[known].belief is None:
+            known -= 1
+        newest, last = poses[-1], poses[known]
+        belief = last.belief or self._began_at(last)
+        if self.is_noisy:
+            last.belief = belief
+            for k in range(known + 1, len(poses)):
+                poses[k].belief = belief = self._fused(belief, k)
+        elif last is not newest:
+            # Exact poses before the newest tell nothing more.
+            if self.disturbance is not UNDISTURBED:
+                belief = self._moved(belief, last.time - self._lag, newest.time - self._lag)
+            state = np.concatenate((newest.pose, belief.state[MOMENTUM]))
+            belief = Belief(state, belief.covariance)
+        newest.belief = belief
         return belief
 
     def _began_at(self, first: MeasuredPose) -> Belief:
         """Return the belief at the first pose: its own, with what the anchor tells of the rest."""
-        state, covariance, _ = self._anchor
-        state = np.concatenate((first.pose, state[MOMENTUM]))
-        return Belief(state, _restarted(covariance, self._measured(state, first.time)))
+        state = np.concatenate((first.pose, self._anchor.state[MOMENTUM]))
+        measured = self._measured(state, first.time)
+        return Belief(state, _with_pose(self._anchor.covariance, measured))
 
-    def _fused(self, before: Belief, since: float, one: MeasuredPose) -> Belief:
-        """Return the belief at a pose from that at the one before, of time `since` [s]."""
-        if not self.is_noisy:
-            if self.disturbance is not UNDISTURBED:
-                before = self._moved(before, since - self._lag, one.time - self._lag)
-            state = np.concatenate((one.pose, before.state[MOMENTUM]))
-            return Belief(state, before.covariance)
-        state, covariance, _ = self._moved(before, since - self._lag, one.time - self._lag)
+    def _fused(self, before: Belief, index: int) -> Belief:
+        """Return the belief at a noisy pose from that at the one before."""
+        one, since = self.poses[index], self.poses[index - 1].time
+        state, covariance = self._moved(before, since - self._lag, one.time - self._lag)
         innovation = error_between(state[POSE], one.pose)
         measured = self._measured(state, one.time)
         expected = covariance[:5, :5] + measured
         square = float(innovation @ np.linalg.solve(expected, innovation))
-        if square < self._scaling.numbers.improbable:
+        one.is_outlier = not square < self._scaling.numbers.improbable
+        if not one.is_outlier:
             known = covariance[:5]
             gain = np.linalg.solve(expected, known[:, :ERROR_SIZE]).T
             fused = covariance.copy()
             fused[:ERROR_SIZE] -= gain @ known
             fused[:, :ERROR_SIZE] = fused[:ERROR_SIZE].T
             return Belief(apply_error(state, gain @ innovation), fused)
-        if before.left_out < self._scaling.numbers.most_outliers:
-            return Belief(state, covariance, before.left_out + 1)
+        earlier = reversed(self.poses[: index + 1])
+        in_a_row = list(takewhile(lambda other: other.is_outlier, earlier))
+        if len(in_a_row) <= self._scaling.numbers.most_outliers:
+            return Belief(state, covariance)
         # Something else has moved the sphere there.
+        for other in in_a_row:
+            other.is_outlier = False
         state = apply_error(state, np.concatenate((innovation, np.zeros(3))))
-        return Belief(state, _restarted(covariance, measured))
+        return Belief(state, _with_pose(covariance, measured))
 
     def _measured(self, state: Vector, time: float) -> Vector:
         """Return the covariance of a pose measured at `time` [s] in a state, shape (5, 5)."""
@@ -280,7 +282,7 @@ class PoseFilter:
         if until <= since:
             return before
         durations, speeds = self._sent.pieces(since, until)
-        state, covariance, left_out = before
+        state, covariance = before
         given = speeds, durations, self._constants, self._max_step, self.disturbance
         if not self.is_noisy:
             return Belief(roll_out(state, *given)[-1], covariance)
@@ -298,11 +300,11 @@ class PoseFilter:
         if self.disturbance is not UNDISTURBED:
             variances[MOMENTUM_ERROR] = numbers.momentum_walk**2 * (until - since)
             variances[SLOPE_ERROR] = numbers.slope_walk**2 * (until - since)
-        return Belief(end.state, by @ covariance @ by.T + np.diag(variances), left_out)
+        return Belief(end.state, by @ covariance @ by.T + np.diag(variances))
 
 
-def _restarted(covariance: Vector, measured: Vector) -> Vector:
-    """Return a covariance of local unknowns with a pose that is only `measured`, (5, 5)."""
+def _with_pose(covariance: Vector, measured: Vector) -> Vector:
+    """Return a covariance of local unknowns with that of a measured pose, (5, 5), alone."""
     found = covariance.copy()
     found[:5, :] = found[:, :5] = 0.0
     found[:5, :5] = measured

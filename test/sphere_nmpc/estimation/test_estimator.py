@@ -10,7 +10,7 @@ import pytest
 from delayed_worker import DelayedWorker
 
 from sphere_nmpc.estimation.estimator import Estimator
-from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import PlantEstimate
 from sphere_nmpc.estimation.posterior import Posterior

@@ -7,11 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
-from sphere_nmpc.estimation.posterior import Posterior
+from sphere_nmpc.estimation.posterior import CONSTANTS, KNOT, SHARE, Posterior, Scaling
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
-from sphere_nmpc.estimation.unknowns import CONSTANTS, KNOT, SHARE, Scaling
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.scenario.perturbation import perturbed

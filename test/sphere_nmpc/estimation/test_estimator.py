@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from paths import predicted
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.motion import Interval
@@ -57,7 +58,7 @@ def track(
     state, newest = without_momentum(START), estimator.newest
     spacing = PERIOD / poses_per_tick
     for number, time in enumerate(np.arange(0.0, until + 1e-9, spacing).tolist()):
-        state = sent.predict(state, time - spacing - LAG, time - LAG, constants, 0.02)
+        state = predicted(sent, state, time - spacing - LAG, time - LAG, constants, 0.02)
         if clock is not None:
             clock.time = time
         if newest is None or time > newest[0]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paths import predicted
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
@@ -65,8 +66,8 @@ class Run:
         return found
 
     def advance(self, until: float) -> None:
-        self.state = self.sent.predict(
-            self.state, self.time, until, CONSTANTS, 0.02, self.disturbance
+        self.state = predicted(
+            self.sent, self.state, self.time, until, CONSTANTS, 0.02, self.disturbance
         ).copy()
         self.time = until
 

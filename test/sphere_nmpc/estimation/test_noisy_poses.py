@@ -3,6 +3,7 @@
 """The estimator on late, noisy, lost, out-of-order and wrong poses."""
 
 import numpy as np
+from paths import predicted
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
@@ -39,7 +40,7 @@ def truths(sent: SentInputs) -> dict[float, Vector]:
     constants = LUMPED.as_array()
     poses, state, time = {}, without_momentum(START), 0.0
     for k in range(round(DURATION / PERIOD) + 1):
-        state = sent.predict(state, time, k * PERIOD, constants, 0.02)
+        state = predicted(sent, state, time, k * PERIOD, constants, 0.02)
         time = k * PERIOD
         poses[time] = state[POSE]
     return poses

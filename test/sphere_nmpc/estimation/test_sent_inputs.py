@@ -1,11 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""History of the rotor speeds sent, and prediction of the motion that they cause."""
+"""History of the rotor speeds sent, also by the motion that they cause."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paths import predicted
 
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import Disturbance
@@ -77,11 +78,11 @@ def test_prediction_agrees_with_the_plant_driven_by_the_same_speeds(
         if there > here:
             plant.advance(sent.at(there), there - here)
         here = there
-    predicted = sent.predict(STATE, start, end, P, max_step=0.0125)
+    found = predicted(sent, STATE, start, end, P, max_step=0.0125)
     # The error of each method is below 1e-6 in a second at full speed.
-    np.testing.assert_allclose(predicted[POSE], plant.state, atol=2e-6)
-    middle = sent.predict(STATE, start, 0.5 * (start + end), P, max_step=0.0125)
-    in_two = sent.predict(middle, 0.5 * (start + end), end, P, max_step=0.0125)
+    np.testing.assert_allclose(found[POSE], plant.state, atol=2e-6)
+    middle = predicted(sent, STATE, start, 0.5 * (start + end), P, max_step=0.0125)
+    in_two = predicted(sent, middle, 0.5 * (start + end), end, P, max_step=0.0125)
     np.testing.assert_allclose(in_two[POSE], plant.state, atol=2e-6)
 
 
@@ -90,7 +91,7 @@ def test_prediction_with_momentum_also_covers_the_time_before_the_first_hold() -
     sent.record(FirstOrderHold(np.array([1.0, 2.0]), np.array([[0.0, 0.0], [40.0, -20.0]])))
     disturbance = Disturbance(np.array([2.0, 1.0]), np.array([0.5, -1.0, 2.0]))
     start = np.array([0.3, -0.2, 0.5, 0.5, 0.5, 0.5, 5.0, -3.0, 0.5])
-    found = sent.predict(start, 0.5, 2.0, P, 0.05, disturbance)
+    found = predicted(sent, start, 0.5, 2.0, P, 0.05, disturbance)
     speeds = np.array([[0.0, 0.0], [0.0, 0.0], [40.0, -20.0]])
     expected = roll_out(start, speeds, np.array([0.5, 1.0]), P, 0.05, disturbance)[-1]
     np.testing.assert_allclose(found, expected, atol=1e-9)

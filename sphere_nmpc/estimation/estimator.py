@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.estimation.motion import Interval
+from sphere_nmpc.estimation.motion import SAME, Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import (
     Estimate,
@@ -29,8 +29,6 @@ from sphere_nmpc.worker.contract import Reply, Store, Task, Worker
 from sphere_nmpc.worker.in_line import InLine
 
 _KEY = "estimator"
-_SAME = 1e-9
-"""Time [s] below which two are the same."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -155,7 +153,7 @@ class Estimator:
             return None
         if self._replies:
             self._collect()
-        if knot is None or poses[-1].time >= knot.time + self._spacing - _SAME:
+        if knot is None or poses[-1].time >= knot.time + self._spacing - SAME:
             self._learn()
         if self._has_diverged:
             self._has_diverged = False
@@ -272,12 +270,12 @@ class Estimator:
         """Submit the interval from a knot on; return whether that could be done."""
         numbers, now = self._numbers, self._filter.poses[-1].time
         vacant = _MOST_PENDING - len(self._replies)
-        if vacant <= 0 or now < knot.time + self._spacing - _SAME:
+        if vacant <= 0 or now < knot.time + self._spacing - SAME:
             return False
         # Where the worker is slow, the next interval is longer.
         spacing = max(self._spacing, (now - knot.time) / vacant)
         poses = self._filter.probable_after(knot.time)
-        until = [k for k, one in enumerate(poses) if one.time >= knot.time + spacing - _SAME]
+        until = [k for k, one in enumerate(poses) if one.time >= knot.time + spacing - SAME]
         # Rotor speeds measured until then may still be on their way.
         if not until or self._sent.is_pending(poses[until[0]].time, now):
             return False
@@ -296,7 +294,7 @@ class Estimator:
         # Poses in quick succession tell little more, and a long interval is to take no longer.
         apart = numbers.pose_spacing * max(1.0, 0.5 * (end.time - since) / numbers.spacing)
         for one in reversed(within):
-            if min(used[-1].time - one.time, one.time - since) > apart - _SAME:
+            if min(used[-1].time - one.time, one.time - since) > apart - SAME:
                 used.append(one)
         used.reverse()
         # A pose with an early stamp shows the effect of speeds sent after that.

@@ -21,7 +21,7 @@ from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
-_SAME = 1e-9
+SAME = 1e-9
 """Time [s] and speed [rad/s] below which two are the same."""
 _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
@@ -81,7 +81,7 @@ class Interval:
         and the indices of the M poses among the ends.
         """
         given = np.concatenate(([0.0], np.cumsum(self.durations))) - (self.lead - lag)
-        inside = given[(given > _SAME) & (given < self.duration - _SAME)]
+        inside = given[(given > SAME) & (given < self.duration - SAME)]
         times = np.unique(np.concatenate(([0.0], inside, self.after)))
         speeds: Vector = np.empty((times.size, INPUT_SIZE))
         for i in range(INPUT_SIZE):
@@ -103,7 +103,7 @@ def driven_speeds(
     given = np.concatenate(([0.0], np.cumsum(durations)))
     paths = [_followed(given, column, acceleration) for column in inputs.T]
     times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
-    times = times[np.concatenate(([True], np.diff(times) > _SAME))]
+    times = times[np.concatenate(([True], np.diff(times) > SAME))]
     speeds = [np.interp(times, *path) for path in paths]
     return np.diff(times), np.column_stack(speeds)
 
@@ -114,12 +114,12 @@ def _followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], l
     corners, speeds = [now], [speed]
     ends, wants = times.tolist(), sent.tolist()
     for begin, end, before, wanted in zip(ends, ends[1:], wants, wants[1:], strict=False):
-        if not end - begin > _SAME:
+        if not end - begin > SAME:
             continue
         slope = (wanted - before) / (end - begin)
         behind = wanted - slope * (end - now) - speed
-        while end - now > _SAME:
-            if abs(behind) < _SAME:
+        while end - now > SAME:
+            if abs(behind) < SAME:
                 rate, lasts = min(max(slope, -limit), limit), end - now
             else:
                 rate = limit if behind > 0.0 else -limit

@@ -33,6 +33,7 @@ from sphere_nmpc.estimation.posterior import (
     TIGHT,
     Posterior,
     Scaling,
+    with_block,
 )
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.error_state import error_between
@@ -327,9 +328,9 @@ class MovingHorizon:
     def _publish(self, fit: _Fit, time: float) -> None:
         events, numbers = fit.hypothesis.events, self._numbers
         covariance = fit.equations.covariance()
-        for i in np.flatnonzero(fit.hypothesis.fixed):
-            covariance[KNOT + i, :] = covariance[:, KNOT + i] = 0.0
-            covariance[KNOT + i, KNOT + i] = self._scaling.deviations[i] ** 2
+        fixed = np.flatnonzero(fit.hypothesis.fixed)
+        prior = np.diag(self._scaling.deviations[fixed] ** 2)
+        covariance = with_block(covariance, KNOT + fixed, prior)
         slipped = self.result.slipped + 1
         if Event.SLIPPED in events:
             slipped = list(reversed(events)).index(Event.SLIPPED)

@@ -23,6 +23,7 @@ from sphere_nmpc.estimation.posterior import (
     SLOPE_ERROR,
     Posterior,
     Scaling,
+    with_block,
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
@@ -162,10 +163,10 @@ class PoseFilter:
         self._noise_scale = result.scale
         self.disturbance = result.slope_and_imbalance
         """Slope and imbalance that it predicts with."""
-        state, covariance = result.knot[:STATE_SIZE].copy(), result.covariance.copy()
+        state, covariance = result.knot[:STATE_SIZE].copy(), result.covariance
         zero = DISTURBANCE if result.undisturbed else DISTURBANCE[5:]
         if not result.unbalanced:
-            covariance[zero, :] = covariance[:, zero] = 0.0
+            covariance = with_block(covariance, zero, np.zeros(()))
         if result.undisturbed:
             state[MOMENTUM] = 0.0
         self._anchor = Belief(state, covariance)
@@ -243,7 +244,7 @@ class PoseFilter:
         """Return the belief at the first pose: its own, with what the anchor tells of the rest."""
         state = np.concatenate((first.pose, self._anchor.state[MOMENTUM]))
         measured = self._measured(state, first.time)
-        return Belief(state, _with_pose(self._anchor.covariance, measured))
+        return Belief(state, with_block(self._anchor.covariance, POSE_ERROR, measured))
 
     def _fused(self, before: Belief, index: int) -> Belief:
         """Return the belief at a noisy pose from that at the one before."""
@@ -269,7 +270,7 @@ class PoseFilter:
         for other in in_a_row:
             other.is_outlier = False
         state = apply_error(state, np.concatenate((innovation, np.zeros(3))))
-        return Belief(state, _with_pose(covariance, measured))
+        return Belief(state, with_block(covariance, POSE_ERROR, measured))
 
     def _measured(self, state: Vector, time: float) -> Vector:
         """Return the covariance of a pose measured at `time` [s] in a state, shape (5, 5)."""
@@ -301,11 +302,3 @@ class PoseFilter:
             variances[MOMENTUM_ERROR] = numbers.momentum_walk**2 * (until - since)
             variances[SLOPE_ERROR] = numbers.slope_walk**2 * (until - since)
         return Belief(end.state, by @ covariance @ by.T + np.diag(variances))
-
-
-def _with_pose(covariance: Vector, measured: Vector) -> Vector:
-    """Return a covariance of local unknowns with that of a measured pose, (5, 5), alone."""
-    found = covariance.copy()
-    found[:5, :] = found[:, :5] = 0.0
-    found[:5, :5] = measured
-    return found

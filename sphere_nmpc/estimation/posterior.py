@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
@@ -74,6 +75,15 @@ def apply_knot_error(knot: Vector, error: Vector) -> Vector:
     """Return a knot, shape (11,), changed by an error, shape (10,)."""
     state = apply_error(knot[:STATE_SIZE], error[:ERROR_SIZE])
     return np.concatenate((state, knot[STATE_SIZE:] + error[ERROR_SIZE:]))
+
+
+def with_block(covariance: Vector, places: NDArray[np.intp] | slice, own: Vector) -> Vector:
+    """Return a covariance with another block at some places, independent of the others."""
+    found = covariance.copy()
+    found[places, :] = found[:, places] = 0.0
+    chosen = np.arange(len(found))[places]
+    found[np.ix_(chosen, chosen)] = own
+    return found
 
 
 def knot_error(knot: Vector, other: Vector) -> Vector:
@@ -251,21 +261,18 @@ class Posterior:
 
     def with_lag(self, lag: float, scaling: Scaling) -> "Posterior":
         """Return it with the prior of another lag [s] in place of its estimate."""
-        common, covariance = self.common.copy(), self.covariance.copy()
+        common, variance = self.common.copy(), scaling.deviations[LAG] ** 2
         common[LAG] = scaling.prior(lag)[LAG]
-        at = KNOT + LAG
-        covariance[at, :] = covariance[:, at] = 0.0
-        covariance[at, at] = scaling.deviations[LAG] ** 2
-        return replace(self, common=common, covariance=covariance)
+        at = slice(KNOT + LAG, KNOT + LAG + 1)
+        return replace(self, common=common, covariance=with_block(self.covariance, at, variance))
 
     def without_disturbance(self, numbers: EstimatorSettings) -> "Posterior":
         """Return it with zero momentum, slope and imbalance."""
-        knot, common, covariance = self.knot.copy(), self.common.copy(), self.covariance.copy()
+        knot, common = self.knot.copy(), self.common.copy()
         knot[MOMENTUM.start :] = 0.0
         common[IMBALANCE] = 0.0
-        covariance[DISTURBANCE, :] = covariance[:, DISTURBANCE] = 0.0
         variances = np.repeat([TIGHT**2, numbers.imbalance**2], [5, 3])
-        covariance[DISTURBANCE, DISTURBANCE] = variances
+        covariance = with_block(self.covariance, DISTURBANCE, np.diag(variances))
         return replace(
             self, knot=knot, common=common, covariance=covariance, undisturbed=True,
             unbalanced=False,
@@ -283,10 +290,9 @@ class Posterior:
 
         What happened to the momentum in between is not known, if there is any.
         """
-        knot, covariance = self.knot.copy(), self.covariance.copy()
+        knot = self.knot.copy()
         knot[POSE] = pose
-        covariance[POSE_ERROR, :] = covariance[:, POSE_ERROR] = 0.0
-        covariance[POSE_ERROR, POSE_ERROR] = np.diag(variance)
+        covariance = with_block(self.covariance, POSE_ERROR, np.diag(variance))
         return replace(self, time=time, knot=knot, covariance=covariance)
 
     def is_zero(self, numbers: EstimatorSettings) -> bool:

@@ -1,36 +1,17 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Paths of the ideal sphere, and how far states are from them."""
+"""Paths of the ideal sphere without momentum, and how far states are from them."""
 
 from collections.abc import Iterable
 
 import numpy as np
 
-from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.roll_out import roll_out
 
 _CONSTANTS = RobotParameters().lumped.as_array()
-
-
-def predicted(
-    sent: SentInputs,
-    state: Vector,
-    start: float,
-    end: float,
-    constants: Vector,
-    max_step: float,
-    disturbance: Disturbance = UNDISTURBED,
-) -> Vector:
-    """Return the state, (9,), at `end` [s] from that at `start` by the speeds sent."""
-    if end <= start:
-        return state
-    durations, speeds = sent.pieces(start, end)
-    states = roll_out(state, speeds, durations, constants, max_step, disturbance)
-    return np.asarray(states[-1])
 
 
 def moved(

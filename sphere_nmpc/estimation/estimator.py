@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.estimation.motion import SAME, Interval
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import (
     Estimate,
@@ -19,7 +19,7 @@ from sphere_nmpc.estimation.pose_filter import (
     PoseFilter,
 )
 from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.sent_inputs import SAME, SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.parameters import LumpedConstants

@@ -16,13 +16,12 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     disturbance_of,
 )
+from sphere_nmpc.estimation.sent_inputs import SAME
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
-SAME = 1e-9
-"""Time [s] and speed [rad/s] below which two are the same."""
 _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
 _RATE_STEP = 1e-3

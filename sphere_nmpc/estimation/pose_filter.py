@@ -25,7 +25,7 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     with_block,
 )
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.sent_inputs import SAME, SentInputs
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
 from sphere_nmpc.model.parameters import LumpedConstants
@@ -139,14 +139,16 @@ class PoseFilter:
     there are several in a row.
 
     Each pose keeps the belief that it leads to. What comes out of order, or changes the anchor,
-    discards those that depend on it; only these poses are fused again, once an estimate is asked
-    for.
+    discards those that depend on it. These poses are fused again once an estimate is asked for,
+    at least the spacing apart that poses within an interval have.
     """
 
     def __init__(self, sent: SentInputs, scaling: Scaling) -> None:
         self._sent, self._scaling = sent, scaling
         self.poses: list[MeasuredPose] = []
         """Poses in the order of their times, since the anchor or the first one after a gap."""
+        self._fused_until = -np.inf
+        """Time of the newest pose that was fused from an earlier anchor on [s]."""
 
     def anchor(
         self,
@@ -171,7 +173,8 @@ class PoseFilter:
             state[MOMENTUM] = 0.0
         self._anchor = Belief(state, covariance)
         for one in self.poses:
-            one.belief = None
+            if one.belief is not None:
+                self._fused_until, one.belief = one.time, None
         place = self._place(result.time)
         if place < len(self.poses) and self.poses[place].time == result.time:
             del self.poses[:place]
@@ -226,18 +229,20 @@ class PoseFilter:
         while known > 0 and poses[known].belief is None:
             known -= 1
         newest, last = poses[-1], poses[known]
-        belief = last.belief or self._began_at(last)
+        last.belief = belief = last.belief or self._began_at(last)
         if self.is_noisy:
-            last.belief = belief
-            for k in range(known + 1, len(poses)):
-                poses[k].belief = belief = self._fused(belief, k)
+            for one in poses[known + 1 :]:
+                # Where poses are fused again, those in quick succession tell little more.
+                apart = one.time - last.time > self._scaling.numbers.pose_spacing - SAME
+                if apart or one.time > self._fused_until or one is newest:
+                    one.belief = belief = self._fused(belief, last.time, one)
+                    last = one
         elif last is not newest:
             # Exact poses before the newest tell nothing more.
             if self.disturbance is not UNDISTURBED:
                 belief = self._moved(belief, last.time - self._lag, newest.time - self._lag)
             state = np.concatenate((newest.pose, belief.state[MOMENTUM]))
-            belief = Belief(state, belief.covariance)
-        newest.belief = belief
+            newest.belief = belief = Belief(state, belief.covariance)
         return belief
 
     def _began_at(self, first: MeasuredPose) -> Belief:
@@ -246,9 +251,8 @@ class PoseFilter:
         measured = self._measured(state, first.time)
         return Belief(state, with_block(self._anchor.covariance, POSE_ERROR, measured))
 
-    def _fused(self, before: Belief, index: int) -> Belief:
-        """Return the belief at a noisy pose from that at the one before."""
-        one, since = self.poses[index], self.poses[index - 1].time
+    def _fused(self, before: Belief, since: float, one: MeasuredPose) -> Belief:
+        """Return the belief at a noisy pose from that at an earlier one, of time `since` [s]."""
         state, covariance = self._moved(before, since - self._lag, one.time - self._lag)
         innovation = error_between(state[POSE], one.pose)
         measured = self._measured(state, one.time)
@@ -262,7 +266,7 @@ class PoseFilter:
             fused[:ERROR_SIZE] -= gain @ known
             fused[:, :ERROR_SIZE] = fused[:ERROR_SIZE].T
             return Belief(apply_error(state, gain @ innovation), fused)
-        earlier = reversed(self.poses[: index + 1])
+        earlier = reversed(self.poses[: self._place(one.time) + 1])
         in_a_row = list(takewhile(lambda other: other.is_outlier, earlier))
         if len(in_a_row) <= self._scaling.numbers.most_outliers:
             return Belief(state, covariance)

@@ -12,6 +12,8 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
+SAME = 1e-9
+"""Times [s] and speeds [rad/s] that differ by less are the same."""
 _SHORTEST = 1e-6
 """Knots closer than this [s] count as one."""
 _SILENCE = 0.5
@@ -79,7 +81,7 @@ class SentInputs:
     def at(self, time: float) -> Vector:
         """Return the speeds in force at `time` [rad/s], shape (2,); zero before the first."""
         for hold in reversed(self._holds):
-            if hold.start <= time + 1e-9:
+            if hold.start <= time + SAME:
                 return hold.at(time)
         return np.zeros(INPUT_SIZE)
 
@@ -107,20 +109,24 @@ class SentInputs:
         That is their lengths [s], shape (K,), and the rotor speeds at their ends [rad/s], shape
         (K + 1, 2). Before the first hold the rotors are at rest.
         """
-        times, speeds, rest = [end], list[Vector](), np.zeros(INPUT_SIZE)
+        times, speeds, at_start = [end], list[Vector](), np.zeros(INPUT_SIZE)
         # From the newest back, so that a long history costs nothing.
         for hold in reversed(self._holds):
-            since, until = max(start, hold.start), times[-1]
+            begun, until = hold.start, times[-1]
+            if begun > end + SAME:
+                continue
+            speeds = speeds or [hold.at(end)]
+            since = max(start, begun)
             if since < until:
                 within = slice(bisect_right(hold.times, since), bisect_left(hold.times, until))
                 times += [*reversed(hold.times[within].tolist()), since]
-                speeds += [] if speeds else [hold.at(end)]
                 speeds += [*reversed(hold.speeds[within]), hold.at(since)]
-            if since == start:
+            if begun <= start + SAME:
+                at_start = speeds[-1]
                 break
         if times[-1] > start:
             times.append(start)
-            speeds = [*(speeds or [rest]), rest]
+            speeds = [*(speeds or [at_start]), at_start]
         return np.diff(times[::-1]), np.array(speeds[::-1])
 
     def moves_after(self, time: float) -> bool:

@@ -144,7 +144,7 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
             "imbalance": 3.0, "pose": 1e-4, "prediction": 1e-3, "share_spread": 3e-3,
             "momentum_walk": 5e-3, "slope_walk": 1e-2, "push": 15.0, "tilt": 5.0, "slip": 0.06,
             "late": 0.03,
-            "rare": 7.0, "again": 14.0, "improbable": 75.0, "slippery": 5, "recent": 2,
+            "rare": 7.0, "again": 14.0, "improbable": 75.0, "slippery": 5,
             "most_outliers": 0,
         }.items()
     },

@@ -19,8 +19,8 @@ from sphere_nmpc.control.monitors import (
 )
 from sphere_nmpc.control.pose_stream import PoseCheck, PoseGate
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.estimation.estimate import Estimate, PlantEstimate
 from sphere_nmpc.estimation.estimator import Estimator
+from sphere_nmpc.estimation.pose_filter import Estimate, PlantEstimate
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold

@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from sphere_nmpc.estimation.estimator import SHORT_GAP
+from sphere_nmpc.estimation.pose_filter import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_nmpc.settings import ControllerSettings

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.estimation.events import (
+from sphere_nmpc.estimation.hypotheses import (
     Event,
     Hypothesis,
     noise_variance,
     step_covariances,
 )
-from sphere_nmpc.estimation.interval import Interval
 from sphere_nmpc.estimation.motion import Motion
-from sphere_nmpc.estimation.unknowns import (
+from sphere_nmpc.estimation.posterior import (
     COMMON,
     KNOT,
     LOCAL,
@@ -122,14 +121,6 @@ class Point:
         return Point(knots, scaling.within(self.common + step[-COMMON:]))
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """Interval with its linearised motion."""
-
-    interval: Interval
-    motion: Motion
-
-
 class Linearisation:
     """What the normal equations of all hypotheses share at a point.
 
@@ -143,27 +134,26 @@ class Linearisation:
         self,
         point: Point,
         prior: Prior,
-        intervals: list[Measured],
+        motions: list[Motion],
         scale: float,
         noise: PoseNoise,
         pose_deviations: Vector,
         scaling: Scaling,
     ) -> None:
-        count = len(intervals)
-        self.scaling, self.motions = scaling, [one.motion for one in intervals]
+        count = len(motions)
+        self.scaling, self.motions = scaling, motions
         self._pose_deviations = pose_deviations
-        self.durations = np.array([one.interval.duration for one in intervals])
-        turned = [one.motion.turned for one in intervals]
-        self.variances = np.array([noise_variance(one, scaling.numbers) for one in turned])
+        self.durations = np.array([one.interval.duration for one in motions])
+        self.variances = np.array([noise_variance(m.turned, scaling.numbers) for m in motions])
         self.point, self.common, self.scale = point, point.common, scale
         self.jacobians = np.zeros((count, KNOT, _BLOCK))
         self.jacobians[:, :, _NEXT] = np.eye(KNOT)
         self.residuals, self.innovations = np.empty((count, KNOT)), np.empty((count, 5))
-        for k, one in enumerate(intervals):
-            moved, end, away = one.motion, point.knots[k + 1], away_from(one.motion, point, k)
+        for k, moved in enumerate(motions):
+            end, away = point.knots[k + 1], away_from(moved, point, k)
             self.jacobians[k][:, _OWN] = -moved.by_unknowns
             self.residuals[k] = knot_error(moved.end, end) - moved.by_unknowns @ away
-            self.innovations[k] = error_between(end[POSE], one.interval.poses[-1])
+            self.innovations[k] = error_between(end[POSE], moved.interval.poses[-1])
         self._believe(prior, noise)
 
     def believing(self, prior: Prior, noise: PoseNoise) -> "Linearisation":

@@ -3,22 +3,24 @@
 """Estimator of the state and the plant from poses and the rotor speeds sent.
 
 A moving horizon is fitted to all poses up to a knot by tasks of a worker, or in line. From its
-last result on, the newest poses are fused as they arrive by a Kalman filter of the state alone.
+last result on, the newest poses are fused by a Kalman filter of the state alone.
 """
 
-from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.estimation.estimate import Estimate, PlantEstimate
-from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
-from sphere_nmpc.estimation.posterior import Posterior
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.pose_filter import (
+    Estimate,
+    MeasuredPose,
+    PlantEstimate,
+    PoseFilter,
+)
+from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
+from sphere_nmpc.estimation.sent_inputs import SAME, SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
-from sphere_nmpc.estimation.tracker import Tracker
-from sphere_nmpc.estimation.unknowns import KNOT, Scaling
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
@@ -27,12 +29,6 @@ from sphere_nmpc.worker.contract import Reply, Store, Task, Worker
 from sphere_nmpc.worker.in_line import InLine
 
 _KEY = "estimator"
-_SAME = 1e-9
-"""Time [s] below which two are the same."""
-SHORT_GAP = 0.1
-"""Share of the mean spacing of poses [-] below which two are of a bunch."""
-_FEWEST = 3
-"""Number of poses from which on their mean spacing is taken."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -106,46 +102,23 @@ class Estimator:
         self._scaling = Scaling(nominal, acceleration, self._numbers)
         self._sent = sent
         self._worker = worker or InLine()
-        self._poses: list[tuple[float, Vector]] = []
-        self._knot: float | None = None
-        self._tracker: Tracker | None = None
-        self._replies: list[Reply[Posterior | None]] = []
-        self._kept: tuple[Posterior, ControllerSettings, PlantEstimate] | None = None
+        self._filter = PoseFilter(sent, self._scaling)
         self._has_diverged = False
         """Whether a result was not valid since the last estimate."""
-        self._result = Posterior.initial(settings.drive_lag, self._scaling)
-        self._begin(self._result)
+        self._begin(Posterior.initial(settings.drive_lag, self._scaling))
 
     @property
     def newest(self) -> tuple[float, Vector] | None:
         """Control time [s] of the newest pose, and the pose, shape (6,); None without any."""
-        return self._poses[-1] if self._poses else None
+        poses = self._filter.poses
+        return (poses[-1].time, poses[-1].pose) if poses else None
 
     @property
     def plant(self) -> PlantEstimate:
         """The plant parameters estimated so far, also without a pose."""
-        self._collect()
-        result, settings = self._result, self._settings
-        if self._kept is not None and self._kept[0] is result and self._kept[1] is settings:
-            return self._kept[2]
-        plant = self._plant_of()
-        self._kept = result, settings, plant
-        return plant
-
-    def _plant_of(self) -> PlantEstimate:
-        result, scaling, settings = self._result, self._scaling, self._settings
-        common, covariance = result.common, result.covariance
-        deviations = np.sqrt(np.diag(covariance)[KNOT : KNOT + 4]) * scaling.nominal.as_array()
-        noise = max(self._numbers.pose, result.noise)
-        slippery = result.slipped < self._numbers.slippery
-        if not settings.learning:
-            return PlantEstimate(
-                scaling.nominal, settings.drive_lag, noise, deviations, slippery=slippery
-            )
-        return PlantEstimate(
-            scaling.lumped(common), scaling.significant_lag(common), noise, deviations,
-            scaling.attained(common), slippery,
-        )
+        if self._replies:
+            self._collect()
+        return self._plant
 
     @property
     def momentum(self) -> Vector:
@@ -156,7 +129,7 @@ class Estimator:
     @property
     def disturbance(self) -> Disturbance:
         """Slope and imbalance as estimated so far."""
-        return self._result.slope_and_imbalance
+        return self._filter.disturbance
 
     @property
     def stamp_deviation(self) -> float:
@@ -168,47 +141,24 @@ class Estimator:
 
         Noisy poses may arrive out of order, within the interval that has not ended.
         """
-        poses = self._poses
-        if not poses or time > poses[-1][0]:
-            if self._is_bunched(time):
-                # Of a bunch that was held up on its way the newest pose is the least late.
-                poses.pop()
-                self._tracker = None
-            poses.append((time, pose))
-            if self._tracker is not None:
-                self._tracker.observe(time, pose)
-            return True
-        place = self._index(time)
-        if not self._is_noisy or place == 0 or poses[place][0] == time:
-            return False
-        poses.insert(place, (time, pose))
-        self._tracker = None
-        return True
-
-    def _is_bunched(self, time: float) -> bool:
-        """Return whether a pose at `time` [s] comes just after the newest, which is no knot."""
-        poses = self._poses
-        if len(poses) < _FEWEST or poses[-1][0] == self._knot:
-            return False
-        mean = (poses[-1][0] - poses[0][0]) / (len(poses) - 1)
-        return time - poses[-1][0] < SHORT_GAP * mean
+        return self._filter.observe(time, pose, self._knot)
 
     def estimate(self, time: float) -> Estimate | None:
         """Return the estimate at control time `time` [s]; None without a pose.
 
         Where it raises the control loop falls back to the plan in force.
         """
-        if not self._poses:
+        poses, knot = self._filter.poses, self._knot
+        if not poses:
             return None
-        self._learn()
+        if self._replies:
+            self._collect()
+        if knot is None or poses[-1].time >= knot.time + self._spacing - SAME:
+            self._learn()
         if self._has_diverged:
             self._has_diverged = False
             raise ArithmeticError("the estimate is not a distribution, and begins anew")
-        plant = self.plant  # First, as it takes over a result that has arrived.
-        tracker = self._tracked()
-        state, covariance = tracker.predict(time)
-        known = covariance if self._is_noisy else None
-        return Estimate(state, plant, known, tracker.disturbance)
+        return self._filter.estimate(time)
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over changed settings; estimates that they do not concern are kept.
@@ -226,45 +176,53 @@ class Estimator:
         estimation = ("drive_lag", "momentum", "pose_position_noise", "pose_orientation_noise")
         if any(getattr(settings, name) != getattr(before, name) for name in estimation):
             self._begin(result)
-        self._tracker = None
+        else:
+            self._take_over(result)
 
     def forget(self) -> None:
         """Discard all poses, as after a jump of the clock.
 
         Estimated parameters and disturbance stay; the momentum may have changed meanwhile.
         """
-        self._poses.clear()
-        self._knot = self._tracker = None
-
-    @property
-    def _is_noisy(self) -> bool:
-        given = self._settings
-        declared = given.pose_position_noise > 0.0 or given.pose_orientation_noise > 0.0
-        return declared or any(self._result.pose_noise)
-
-    @property
-    def _is_known(self) -> bool:
-        """Whether more knots would tell no more of the constants."""
-        variances = np.diag(self._result.covariance)[KNOT : KNOT + 4]
-        return self._is_noisy or bool(np.max(variances) < self._numbers.known**2)
-
-    @property
-    def _pose_deviations(self) -> Vector:
-        given = self._settings
-        noise = [given.pose_position_noise] * 2 + [given.pose_orientation_noise] * 3
-        deviations: Vector = np.maximum(noise, self._numbers.pose)
-        return deviations
+        self._filter.poses.clear()
+        self._knot = None
 
     def _begin(self, known: Posterior) -> None:
         """Continue from what is known, in a new moving horizon."""
-        self._result = known
-        self._replies = []
-        self._is_begun = self._submit(
-            Begin(self._scaling, known, self._pose_deviations, self._settings.momentum)
-        )
+        given, least = self._settings, self._numbers.pose
+        noise = [given.pose_position_noise] * 2 + [given.pose_orientation_noise] * 3
+        self._pose_deviations: Vector = np.maximum(noise, least)
+        self._take_over(known)
+        self._replies: list[Reply[Posterior | None]] = []
+        begin = Begin(self._scaling, known, self._pose_deviations, given.momentum)
+        self._is_begun, poses = self._submit(begin), self._filter.poses
         # Intervals on their way to a worker that has ended are lost.
-        self._knot = known.time if self._poses and self._poses[0][0] == known.time else None
+        known_pose = self._is_begun and poses and poses[0].time == known.time
+        self._knot: MeasuredPose | None = poses[0] if known_pose else None
         self._collect()
+
+    def _take_over(self, result: Posterior) -> None:
+        """Make a result, under the present settings, the one in force."""
+        self._result, settings, numbers = result, self._settings, self._numbers
+        scaling, common = self._scaling, result.common
+        deviations = np.sqrt(np.diag(result.covariance)[KNOT : KNOT + 4])
+        declared = settings.pose_position_noise > 0.0 or settings.pose_orientation_noise > 0.0
+        is_noisy = declared or any(result.pose_noise)
+        # Once the constants are known, more knots would tell no more of them.
+        is_known = is_noisy or bool(np.max(deviations) < numbers.known)
+        self._spacing = numbers.spacing if is_known else numbers.first_spacing
+        learns = settings.learning
+        self._plant = PlantEstimate(
+            scaling.lumped(common) if learns else scaling.nominal,
+            scaling.significant_lag(common) if learns else settings.drive_lag,
+            max(numbers.pose, result.noise),
+            deviations * scaling.nominal.as_array(),
+            scaling.attained(common) if learns else float("inf"),
+            result.slipped < numbers.slippery,
+        )
+        self._filter.anchor(
+            result, self._plant, self._pose_deviations, is_noisy, settings.longest_step
+        )
 
     def _submit(self, task: Task[Posterior | None]) -> bool:
         """Return whether the worker takes a task."""
@@ -277,94 +235,73 @@ class Estimator:
     def _collect(self) -> None:
         """Take over the results that have arrived."""
         self._worker.poll()
-        replies, lost = self._replies, False
+        replies = self._replies
         while replies and not replies[0].pending:
             reply = replies.pop(0)
             result = reply.result
             if result is None:
-                lost = lost or reply.ready
-                continue
-            self._tracker = None
-            if not result.is_valid:
+                if reply.ready:  # the worker has lost the moving horizon
+                    self._is_begun, self._knot = False, None
+            elif result.is_valid:
+                self._take_over(result)
+            else:
                 # All that follows it would fail, too.
                 self._has_diverged = True
                 self._begin(Posterior.initial(self._settings.drive_lag, self._scaling))
                 return
-            self._result = result
-        if lost:
-            self._is_begun = False
 
     def _learn(self) -> None:
         """Submit the intervals since the last knot that are long enough."""
         if not self._is_begun:
             self._begin(self._result)
-        if self._knot is None and self._submit(Observe(None, *self._poses[0])):
-            self._knot = self._poses[0][0]
+        first = self._filter.poses[0]
+        if self._is_begun and self._knot is None and self._submit(
+            Observe(None, first.time, first.pose)
+        ):
+            self._knot = first
+            self._collect()
         while self._knot is not None and self._submit_interval(self._knot):
             self._collect()
-        # Those since the last result are fused again from the next one on. What is older than
-        # the intervals that can wait is of no use either.
-        longest, knot = self._numbers.longest, self._poses[0][0]
-        if self._knot is not None:
-            knot = max(min(self._result.time, self._knot), self._knot - longest)
-        del self._poses[: self._index(max(knot, self._poses[-1][0] - _MOST_PENDING * longest))]
+        # What is older than the intervals that can wait is of no use.
+        newest = self._filter.poses[-1]
+        self._filter.discard_before(newest.time - _MOST_PENDING * self._numbers.longest)
 
-    def _submit_interval(self, since: float) -> bool:
-        """Submit the interval from the knot at `since` [s]; return whether that could be done."""
-        poses, numbers = self._poses, self._numbers
-        now, vacant = poses[-1][0], _MOST_PENDING - len(self._replies)
-        if vacant <= 0:
+    def _submit_interval(self, knot: MeasuredPose) -> bool:
+        """Submit the interval from a knot on; return whether that could be done."""
+        numbers, now = self._numbers, self._filter.poses[-1].time
+        vacant = _MOST_PENDING - len(self._replies)
+        if vacant <= 0 or now < knot.time + self._spacing - SAME:
             return False
-        spacing = max(
-            numbers.spacing if self._is_known else numbers.first_spacing, (now - since) / vacant
-        )
-        outliers = self._tracked().outliers
-        long_enough = self._index(since + spacing - _SAME)
-        ends = (i for i in range(long_enough, len(poses)) if poses[i][0] not in outliers)
-        end = next(ends, None)
-        if end is None:
-            return False
-        time, pose = poses[end]
+        # Where the worker is slow, the next interval is longer.
+        spacing = max(self._spacing, (now - knot.time) / vacant)
+        poses = self._filter.probable_after(knot.time)
+        until = [k for k, one in enumerate(poses) if one.time >= knot.time + spacing - SAME]
         # Rotor speeds measured until then may still be on their way.
-        if self._sent.is_pending(time, now):
+        if not until or self._sent.is_pending(poses[until[0]].time, now):
             return False
-        interval = None
-        if time - since <= numbers.longest:
-            within = poses[self._index(since) + 1 : end] if self._is_noisy else []
-            kept = [one for one in within if one[0] not in outliers]
-            interval = self._interval(since, [*kept, (time, pose)])
-        if not self._submit(Observe(interval, time, pose)):
+        end, interval = poses[until[0]], None
+        if end.time - knot.time <= numbers.longest:
+            within = poses[: until[0]] if self._filter.is_noisy else []
+            interval = self._interval(knot.time, within, end)
+        if not self._submit(Observe(interval, end.time, end.pose)):
             return False
-        self._knot = time
+        self._knot = end
         return True
 
-    def _index(self, time: float) -> int:
-        """Return the index of the first pose at `time` [s] or later."""
-        return bisect_left(self._poses, time, key=lambda one: one[0])
-
-    def _interval(self, since: float, poses: list[tuple[float, Vector]]) -> Interval:
-        """Return the interval from `since` [s] to the last of its poses, with some of them."""
-        end, numbers = poses[-1][0], self._numbers
-        used = poses[-1:]
+    def _interval(self, since: float, within: list[MeasuredPose], end: MeasuredPose) -> Interval:
+        """Return the interval from `since` [s] to a pose, with some of those within it."""
+        numbers, used = self._numbers, [end]
         # Poses in quick succession tell little more, and a long interval is to take no longer.
-        apart = numbers.pose_spacing * max(1.0, 0.5 * (end - since) / numbers.spacing)
-        for one in reversed(poses[:-1]):
-            if min(used[0][0] - one[0], one[0] - since) > apart - _SAME:
-                used.insert(0, one)
-        after, measured = zip(*used, strict=True)
+        apart = numbers.pose_spacing * max(1.0, 0.5 * (end.time - since) / numbers.spacing)
+        for one in reversed(within):
+            if min(used[-1].time - one.time, one.time - since) > apart - SAME:
+                used.append(one)
+        used.reverse()
         # A pose with an early stamp shows the effect of speeds sent after that.
-        durations, speeds = self._sent.pieces(since - numbers.lead, end + numbers.longest_lag)
-        return Interval(
-            np.array(after) - since, np.array(measured), durations, speeds, numbers.lead
+        durations, speeds = self._sent.pieces(
+            since - numbers.lead, end.time + numbers.longest_lag
         )
-
-    def _tracked(self) -> Tracker:
-        """Return the tracker of the newest poses, from the last result on."""
-        if self._tracker is None:
-            plant = self.plant  # First, as it takes over a result that has arrived.
-            self._tracker = Tracker(
-                self._result, plant, self._poses, self._sent,
-                self._pose_deviations, self._scaling, self._settings.longest_step,
-                self._is_noisy,
-            )
-        return self._tracker
+        return Interval(
+            np.array([one.time for one in used]) - since, np.array([one.pose for one in used]),
+            durations, speeds, numbers.lead,
+        )

@@ -1,13 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion over an interval, linearised in the local unknowns."""
+"""Interval between two knots: poses, speeds, and the motion, linearised in the local unknowns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sphere_nmpc.estimation.interval import Interval
-from sphere_nmpc.estimation.unknowns import (
+from sphere_nmpc.estimation.posterior import (
     CONSTANTS,
     IMBALANCE,
     KNOT,
@@ -17,9 +16,10 @@ from sphere_nmpc.estimation.unknowns import (
     Scaling,
     disturbance_of,
 )
+from sphere_nmpc.estimation.sent_inputs import SAME
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
-from sphere_nmpc.model.state import POSE, STATE_SIZE, Vector, angle_error
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 _LAG_STEP = 1e-2
@@ -31,11 +31,115 @@ _SHARE_STEP = 0.02
 
 
 @dataclass(frozen=True, eq=False)
+class Interval:
+    """Poses measured in an interval, and the rotor speeds that moved the sphere there.
+
+    Attributes
+    ----------
+    after : ndarray, shape (M,)
+        Times of the poses after the start of the interval [s]; the last one ends it.
+    poses : ndarray, shape (M, 6)
+        Measured poses.
+    durations : ndarray, shape (K,)
+        Lengths of the straight pieces of the rotor speeds [s], which go on beyond the end of the
+        interval by as much as stamps may be early.
+    inputs : ndarray, shape (K + 1, 2)
+        Rotor speeds at their ends [rad/s].
+    lead : float
+        Time from the start of the pieces to that of the interval [s]; at least the lag.
+    """
+
+    after: Vector
+    poses: Vector
+    durations: Vector
+    inputs: Vector
+    lead: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Length of the interval [s]."""
+        return float(self.after[-1])
+
+    @property
+    def steepest(self) -> float:
+        """Largest acceleration of the speeds [rad/s^2]."""
+        slopes = np.diff(self.inputs, axis=0) / self.durations[:, None]
+        return float(np.max(np.abs(slopes), initial=0.0))
+
+    def driven(self, acceleration: float) -> "Interval":
+        """Return the interval with the speeds that drives of this limit [rad/s^2] attain."""
+        if self.steepest <= acceleration:
+            return self
+        durations, inputs = driven_speeds(self.durations, self.inputs, acceleration)
+        return replace(self, durations=durations, inputs=inputs)
+
+    def window(self, lag: float) -> tuple[Vector, Vector, list[int]]:
+        """Return the speeds that moved the sphere at this lag [s], as straight pieces.
+
+        That is their lengths [s], shape (L,), the speeds at their ends [rad/s], shape (L + 1, 2),
+        and the indices of the M poses among the ends.
+        """
+        given = np.concatenate(([0.0], np.cumsum(self.durations))) - (self.lead - lag)
+        inside = given[(given > SAME) & (given < self.duration - SAME)]
+        times = np.unique(np.concatenate(([0.0], inside, self.after)))
+        speeds: Vector = np.empty((times.size, INPUT_SIZE))
+        for i in range(INPUT_SIZE):
+            speeds[:, i] = np.interp(times, given, self.inputs[:, i])
+        return np.diff(times), speeds, np.searchsorted(times, self.after).tolist()
+
+
+def driven_speeds(
+    durations: Vector, inputs: Vector, acceleration: float
+) -> tuple[Vector, Vector]:
+    """Return the pieces of rotors that follow straight pieces at a limited acceleration.
+
+    A rotor that has fallen behind turns at the limit until it has caught up. At the start it has
+    the speed that was sent.
+
+    Both are lengths of pieces [s], shape (K,), and the speeds at their ends [rad/s], shape
+    (K + 1, 2).
+    """
+    given = np.concatenate(([0.0], np.cumsum(durations)))
+    paths = [_followed(given, column, acceleration) for column in inputs.T]
+    times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
+    times = times[np.concatenate(([True], np.diff(times) > SAME))]
+    speeds = [np.interp(times, *path) for path in paths]
+    return np.diff(times), np.column_stack(speeds)
+
+
+def _followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], list[float]]:
+    """Return times [s] and speeds [rad/s] of the corners of one rotor's motion."""
+    now, speed = float(times[0]), float(sent[0])
+    corners, speeds = [now], [speed]
+    ends, wants = times.tolist(), sent.tolist()
+    for begin, end, before, wanted in zip(ends, ends[1:], wants, wants[1:], strict=False):
+        if not end - begin > SAME:
+            continue
+        slope = (wanted - before) / (end - begin)
+        behind = wanted - slope * (end - now) - speed
+        while end - now > SAME:
+            if abs(behind) < SAME:
+                rate, lasts = min(max(slope, -limit), limit), end - now
+            else:
+                rate = limit if behind > 0.0 else -limit
+                closing = (rate - slope) * (1.0 if behind > 0.0 else -1.0)
+                caught = abs(behind) / closing if closing > 0.0 else np.inf
+                lasts = min(caught, end - now)
+            now, speed = now + lasts, speed + rate * lasts
+            behind += (slope - rate) * lasts
+            corners.append(now)
+            speeds.append(speed)
+    return corners, speeds
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Predicted poses of an interval and knot at its end, linearised at a knot and common ones.
 
     Attributes
     ----------
+    interval : Interval
+        Measured poses, and the rotor speeds.
     knot, common : ndarray, shapes (11,) and (9,)
         Where it is linearised.
     end : ndarray, shape (11,)
@@ -52,6 +156,7 @@ class Motion:
         Angle rolled, or that the rotors ask for where it ends as it began [rad].
     """
 
+    interval: Interval
     knot: Vector
     common: Vector
     end: Vector
@@ -121,6 +226,6 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     ramp = float(np.max(np.ptp(speeds, axis=0)))
     turned = angle_error(state, moved) + ramp * float(constants[1]) * interval.duration
     return Motion(
-        knot, common, np.concatenate((moved, knot[STATE_SIZE:])), by[-1],
+        interval, knot, common, np.concatenate((moved, knot[STATE_SIZE:])), by[-1],
         np.array(innovations).reshape(-1, 5), by[:-1, :5], np.array(rates), turned,
     )

@@ -14,18 +14,14 @@ import numpy as np
 
 from sphere_nmpc.estimation.equations import (
     Linearisation,
-    Measured,
     NormalEquations,
     Point,
     Prior,
     away_from,
 )
-from sphere_nmpc.estimation.events import TIGHT, Event, Hypothesis, noise_variance
-from sphere_nmpc.estimation.interval import Interval
-from sphere_nmpc.estimation.motion import motion
-from sphere_nmpc.estimation.posterior import Posterior
-from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.estimation.unknowns import (
+from sphere_nmpc.estimation.hypotheses import Event, Hypothesis, noise_variance
+from sphere_nmpc.estimation.motion import Interval, Motion, motion
+from sphere_nmpc.estimation.posterior import (
     COMMON,
     DISTURBANCE,
     IMBALANCE,
@@ -34,8 +30,12 @@ from sphere_nmpc.estimation.unknowns import (
     POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
+    TIGHT,
+    Posterior,
     Scaling,
+    with_block,
 )
+from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 
@@ -58,7 +58,7 @@ class _Fit:
     """Point after a fit, the intervals linearised near it, and the equations solved there."""
 
     point: Point
-    intervals: list[Measured]
+    motions: list[Motion]
     equations: NormalEquations
     scale: float
     hypothesis: Hypothesis
@@ -87,7 +87,7 @@ class MovingHorizon:
         known = self.result
         self._prior = Prior.of(known.knot, known.common, known.covariance, known.scale)
         self._point = Point((known.knot,), known.common)
-        self._intervals: list[Measured] = []
+        self._motions: list[Motion] = []
         self._hypothesis = Hypothesis(
             unbalanced=known.unbalanced,
             weak=known.weak,
@@ -122,23 +122,21 @@ class MovingHorizon:
 
     def _take(self, interval: Interval, time: float) -> None:
         numbers = self._numbers
-        while len(self._intervals) >= numbers.window:
+        while len(self._motions) >= numbers.window:
             self._slide()
-        newest = Measured(
-            interval, motion(interval, self._point.knots[-1], self._point.common, self._scaling)
-        )
-        reached = np.concatenate((interval.poses[-1], newest.motion.end[POSE_SIZE:]))
+        newest = motion(interval, self._point.knots[-1], self._point.common, self._scaling)
+        reached = np.concatenate((interval.poses[-1], newest.end[POSE_SIZE:]))
         start = Point((*self._point.knots, reached), self._point.common)
-        intervals = [*self._intervals, newest]
+        motions = [*self._motions, newest]
         hypothesis = self._hypothesis.extended(self.result.slipped < numbers.slippery)
-        fit = self._fitted(start, intervals, hypothesis, self._scale)
+        fit = self._fitted(start, motions, hypothesis, self._scale)
         surprising = self._surprise(newest, fit) > numbers.rare
-        fit = self._with_other_drives(start, intervals, fit, surprising)
-        fit = self._improved(start, intervals, fit, not (surprising or self._is_noisy))
+        fit = self._with_other_drives(start, motions, fit, surprising)
+        fit = self._improved(start, motions, fit, not (surprising or self._is_noisy))
         if surprising or fit.hypothesis.has_event(numbers.recent):
-            fit = self._believing_less(start, intervals, fit)
-        self._prior = self._prior_of(fit.hypothesis, fit.intervals[0])
-        self._point, self._intervals = fit.point, fit.intervals
+            fit = self._believing_less(start, motions, fit)
+        self._prior = self._prior_of(fit.hypothesis, fit.motions[0])
+        self._point, self._motions = fit.point, fit.motions
         self._hypothesis, self._scale = replace(fit.hypothesis, renewed=False), fit.scale
         self._publish(fit, time)
 
@@ -149,7 +147,7 @@ class MovingHorizon:
         variance = self._scaling.pose_variance(noise.pose, self._pose_deviations)
         return noise.time > 0.0 or bool(variance[2] > self._numbers.prediction**2)
 
-    def _prior_of(self, hypothesis: Hypothesis, first: Measured) -> Prior:
+    def _prior_of(self, hypothesis: Hypothesis, first: Motion) -> Prior:
         """Return the prior, of which a hypothesis may believe less; `first` is its interval."""
         known, numbers, scaling = self._hypothesis, self._numbers, self._scaling
         prior, factor = self._prior, np.zeros((LOCAL, LOCAL))
@@ -162,7 +160,7 @@ class MovingHorizon:
         if hypothesis.pose_noise != known.pose_noise:
             # The pose at its knot was measured, too.
             before, after = (
-                scaling.pose_covariance(noise, self._pose_deviations, first.motion.rates[0])
+                scaling.pose_covariance(noise, self._pose_deviations, first.rates[0])
                 for noise in (known.pose_noise, hypothesis.pose_noise)
             )
             variances, axes = np.linalg.eigh(after - before)
@@ -174,31 +172,31 @@ class MovingHorizon:
         kept = factor.any(axis=0)
         return prior.blurred(factor[:, kept]) if kept.any() else prior
 
-    def _surprise(self, newest: Measured, fit: _Fit) -> float:
+    def _surprise(self, newest: Motion, fit: _Fit) -> float:
         """Return the normalised square of the newest pose's innovation, or of a larger step."""
-        by, numbers = newest.motion.by_unknowns[:5].copy(), self._numbers
+        by, numbers = newest.by_unknowns[:5].copy(), self._numbers
         by[:, KNOT:][:, self._hypothesis.fixed] = 0.0
         expected = by @ self.result.covariance @ by.T
         expected += self._scaling.pose_covariance(
-            self.result.pose_noise, self._pose_deviations, newest.motion.rates[-1]
+            self.result.pose_noise, self._pose_deviations, newest.rates[-1]
         )
-        expected += self._scale * noise_variance(newest.motion.turned, numbers) * np.eye(5)
-        error = error_between(newest.motion.end[POSE], newest.interval.poses[-1])
+        expected += self._scale * noise_variance(newest.turned, numbers) * np.eye(5)
+        error = error_between(newest.end[POSE], newest.interval.poses[-1])
         steps = np.sum(fit.equations.whitened[-numbers.recent :] ** 2, axis=1)
         return max(float(error @ np.linalg.solve(expected, error)), *steps.tolist())
 
     def _fitted(
         self,
         point: Point,
-        intervals: list[Measured],
+        motions: list[Motion],
         hypothesis: Hypothesis,
         scale: float,
         without: int | None = None,
     ) -> _Fit:
         """Return the fit of a hypothesis, from a point with intervals linearised near it."""
         for iteration in range(_ITERATIONS):
-            intervals = self._relinearised(point, intervals)
-            given = self._linearisation(point, intervals, hypothesis, scale)
+            motions = self._relinearised(point, motions)
+            given = self._linearisation(point, motions, hypothesis, scale)
             equations = NormalEquations(given, hypothesis, scale, without)
             point = point.moved(equations.step, self._scaling)
             # At first the errors are those of the linearisation, too.
@@ -207,7 +205,7 @@ class MovingHorizon:
                 same = abs(scale / before - 1.0) < _SAME_SCALE
                 if same and self._largest(equations.step) < _CONVERGED:
                     break
-        return _Fit(point, intervals, equations, scale, hypothesis)
+        return _Fit(point, motions, equations, scale, hypothesis)
 
     def _largest(self, step: Vector) -> float:
         """Return the largest component of a step in the scale of the unknowns."""
@@ -216,26 +214,25 @@ class MovingHorizon:
         return max(float(np.max(knots)), float(np.max(np.abs(common) / units[KNOT:])))
 
     def _linearisation(
-        self, point: Point, intervals: list[Measured], hypothesis: Hypothesis, scale: float
+        self, point: Point, motions: list[Motion], hypothesis: Hypothesis, scale: float
     ) -> Linearisation:
         return Linearisation(
-            point, self._prior_of(hypothesis, intervals[0]), intervals, scale,
+            point, self._prior_of(hypothesis, motions[0]), motions, scale,
             hypothesis.pose_noise, self._pose_deviations, self._scaling,
         )
 
-    def _relinearised(self, point: Point, intervals: list[Measured]) -> list[Measured]:
+    def _relinearised(self, point: Point, motions: list[Motion]) -> list[Motion]:
         """Return the intervals, linearised again where the point has left their range."""
         found = []
-        for k, one in enumerate(intervals):
-            away = away_from(one.motion, point, k)
+        for k, one in enumerate(motions):
+            away = away_from(one, point, k)
             if float(np.max(np.abs(away) / self._scaling.units)) > _STILL_LINEAR:
-                again = motion(one.interval, point.knots[k], point.common, self._scaling)
-                one = Measured(one.interval, again)
+                one = motion(one.interval, point.knots[k], point.common, self._scaling)
             found.append(one)
         return found
 
     def _with_other_drives(
-        self, start: Point, intervals: list[Measured], fit: _Fit, surprising: bool
+        self, start: Point, motions: list[Motion], fit: _Fit, surprising: bool
     ) -> _Fit:
         """Return the more probable one of a fit and another with weak drives, or without.
 
@@ -243,16 +240,16 @@ class MovingHorizon:
         less steep, so it is changed beforehand.
         """
         hypothesis, common = fit.hypothesis, start.common.copy()
-        steepest = max(one.interval.steepest for one in intervals) / self._scaling.acceleration
+        steepest = max(one.interval.steepest for one in motions) / self._scaling.acceleration
         if steepest == 0.0 or not (hypothesis.weak or surprising):
             return fit
         common[SHARE] = 1.0 if hypothesis.weak else _WEAKER * steepest
         other = replace(hypothesis, weak=not hypothesis.weak)
-        found = self._fitted(Point(start.knots, common), intervals, other, fit.scale)
+        found = self._fitted(Point(start.knots, common), motions, other, fit.scale)
         return found if found.equations.cost < fit.equations.cost else fit
 
     def _improved(
-        self, start: Point, intervals: list[Measured], fit: _Fit, simpler: bool
+        self, start: Point, motions: list[Motion], fit: _Fit, simpler: bool
     ) -> _Fit:
         """Return the fit of a hypothesis that differs in one respect, if it is more probable.
 
@@ -267,8 +264,8 @@ class MovingHorizon:
             others = [one for one in others if one[1].cost(numbers) < cost or one[1] in likely]
         if not others:
             return fit
-        intervals = self._relinearised(start, intervals)
-        given = self._linearisation(start, intervals, hypothesis, fit.scale)
+        motions = self._relinearised(start, motions)
+        given = self._linearisation(start, motions, hypothesis, fit.scale)
         # Where an event is compared with none, poses within its interval are used for neither.
         known: dict[int | None, float] = {}
         best: dict[Event | None, tuple[float, int | None, Hypothesis]] = {}
@@ -279,7 +276,7 @@ class MovingHorizon:
             there = given
             if changed is None:
                 there = given.believing(
-                    self._prior_of(other, intervals[0]), other.pose_noise
+                    self._prior_of(other, motions[0]), other.pose_noise
                 )
             cost = _approximate(there, other, fit.scale, without) - known[without]
             kind = None if changed is None else other.events[changed]
@@ -288,9 +285,9 @@ class MovingHorizon:
         # The motion after a push is far from linear in it, so the best of each kind is fitted.
         found, least = fit, 0.0
         for _, without, other in best.values():
-            tried, before = self._fitted(start, intervals, other, fit.scale), fit
+            tried, before = self._fitted(start, motions, other, fit.scale), fit
             if without is not None:
-                before = self._fitted(start, intervals, hypothesis, fit.scale, without)
+                before = self._fitted(start, motions, hypothesis, fit.scale, without)
             cost = tried.equations.cost - before.equations.cost
             if cost < least:
                 found, least = tried, cost
@@ -301,7 +298,7 @@ class MovingHorizon:
         return self._scaling.prior(self._scaling.lag(common))
 
     def _believing_less(
-        self, start: Point, intervals: list[Measured], fit: _Fit
+        self, start: Point, motions: list[Motion], fit: _Fit
     ) -> _Fit:
         """Return the fit of a hypothesis with less that was believed, if it is more probable.
 
@@ -312,28 +309,28 @@ class MovingHorizon:
             knots = tuple(np.concatenate((knot[POSE], np.zeros(5))) for knot in start.knots)
             common = self._initial(start.common) if other.renewed else start.common.copy()
             common[IMBALANCE] = 0.0
-            found = self._fitted(Point(knots, common), intervals, other, fit.scale)
+            found = self._fitted(Point(knots, common), motions, other, fit.scale)
             if found.equations.cost < best.equations.cost:
                 best = found
         return best
 
     def _slide(self) -> None:
         """Sum up the oldest interval in the prior."""
-        first, oldest = Point(self._point.knots[:2], self._point.common), self._intervals[0]
+        first, oldest = Point(self._point.knots[:2], self._point.common), self._motions[0]
         hypothesis = replace(self._hypothesis, events=self._hypothesis.events[:1])
         given = self._linearisation(first, [oldest], hypothesis, self._scale)
         equations = NormalEquations(given, hypothesis, self._scale)
         self._prior = equations.without_first(first, hypothesis)
         self._point = Point(self._point.knots[1:], self._point.common)
-        self._intervals = self._intervals[1:]
+        self._motions = self._motions[1:]
         self._hypothesis = self._hypothesis.shortened()
 
     def _publish(self, fit: _Fit, time: float) -> None:
         events, numbers = fit.hypothesis.events, self._numbers
         covariance = fit.equations.covariance()
-        for i in np.flatnonzero(fit.hypothesis.fixed):
-            covariance[KNOT + i, :] = covariance[:, KNOT + i] = 0.0
-            covariance[KNOT + i, KNOT + i] = self._scaling.deviations[i] ** 2
+        fixed = np.flatnonzero(fit.hypothesis.fixed)
+        prior = np.diag(self._scaling.deviations[fixed] ** 2)
+        covariance = with_block(covariance, KNOT + fixed, prior)
         slipped = self.result.slipped + 1
         if Event.SLIPPED in events:
             slipped = list(reversed(events)).index(Event.SLIPPED)

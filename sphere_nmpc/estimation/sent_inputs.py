@@ -1,19 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""History of the rotor speeds sent, and prediction of the motion that they cause."""
+"""History of the rotor speeds sent."""
 
+from bisect import bisect_left, bisect_right
 from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.solver.roll_out import roll_out
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
+SAME = 1e-9
+"""Times [s] and speeds [rad/s] that differ by less are the same."""
 _SHORTEST = 1e-6
 """Knots closer than this [s] count as one."""
 _SILENCE = 0.5
@@ -81,7 +81,7 @@ class SentInputs:
     def at(self, time: float) -> Vector:
         """Return the speeds in force at `time` [rad/s], shape (2,); zero before the first."""
         for hold in reversed(self._holds):
-            if hold.start <= time + 1e-9:
+            if hold.start <= time + SAME:
                 return hold.at(time)
         return np.zeros(INPUT_SIZE)
 
@@ -103,40 +103,31 @@ class SentInputs:
             np.insert(joined.times, 1, knots), np.insert(joined.speeds, 1, speeds, axis=0)
         )
 
-    def predict(
-        self,
-        state: Vector,
-        start: float,
-        end: float,
-        constants: Vector,
-        max_step: float = DEFAULT_MAX_STEP,
-        disturbance: Disturbance = UNDISTURBED,
-    ) -> Vector:
-        """Return the state at `end`, shape (9,), predicted from that at `start` [s].
-
-        It is returned unchanged if `end` is not later; for the other arguments see
-        `sphere_nmpc.solver.roll_out.roll_out`. Before the first hold the rotors are at rest.
-        """
-        if end <= start:
-            return state
-        durations, speeds = self.pieces(start, end)
-        states = roll_out(state, speeds, durations, constants, max_step, disturbance)
-        predicted: Vector = states[-1]
-        return predicted
-
     def pieces(self, start: float, end: float) -> tuple[Vector, Vector]:
-        """Return the speeds sent between two times [s] as straight pieces.
+        """Return the speeds sent from `start` to `end` [s], which is later, as straight pieces.
 
         That is their lengths [s], shape (K,), and the rotor speeds at their ends [rad/s], shape
         (K + 1, 2). Before the first hold the rotors are at rest.
         """
-        times, speeds = [start], [self.at(start)]
-        for hold, since, until in self._in_force(start, end):
-            for time in (since, *hold.knots_between(since, until)):
-                if time > times[-1]:
-                    times.append(time)
-                    speeds.append(hold.at(time))
-        return np.diff([*times, end]), np.array([*speeds, self.at(end)])
+        times, speeds, at_start = [end], list[Vector](), np.zeros(INPUT_SIZE)
+        # From the newest back, so that a long history costs nothing.
+        for hold in reversed(self._holds):
+            begun, until = hold.start, times[-1]
+            if begun > end + SAME:
+                continue
+            speeds = speeds or [hold.at(end)]
+            since = max(start, begun)
+            if since < until:
+                within = slice(bisect_right(hold.times, since), bisect_left(hold.times, until))
+                times += [*reversed(hold.times[within].tolist()), since]
+                speeds += [*reversed(hold.speeds[within]), hold.at(since)]
+            if begun <= start + SAME:
+                at_start = speeds[-1]
+                break
+        if times[-1] > start:
+            times.append(start)
+            speeds = [*(speeds or [at_start]), at_start]
+        return np.diff(times[::-1]), np.array(speeds[::-1])
 
     def moves_after(self, time: float) -> bool:
         """Return whether the hold in force has a speed other than zero at `time` [s] or later."""
@@ -144,17 +135,3 @@ class SentInputs:
         if newest is None:
             return False
         return bool(newest.at(time).any() or newest.speeds[newest.times > time].any())
-
-    def _in_force(self, start: float, end: float) -> list[tuple[FirstOrderHold, float, float]]:
-        """Return the holds in force between two times, in order, each with start and end [s]."""
-        found: list[tuple[FirstOrderHold, float, float]] = []
-        # From the newest back, so that a long history costs nothing.
-        for hold in reversed(self._holds):
-            if end <= start:
-                break
-            if hold.start < end:
-                since = max(start, hold.start)
-                found.append((hold, since, end))
-                end = since
-        return found[::-1]
-

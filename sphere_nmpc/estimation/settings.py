@@ -77,12 +77,15 @@ class EstimatorSettings:
     1 valid pose in 7000 (chi-squared, 5 degrees of freedom)."""
     slippery: int = 40
     """Intervals after slip in which the floor counts as slippery."""
-    recent: int = 4
-    """Newest intervals in which events are looked for."""
 
     # Poses that are wrong
     most_outliers: int = 4
     """Noisy poses in a row that are left out as improbable; the next one is believed."""
+
+    @property
+    def recent(self) -> int:
+        """Number of newest intervals in which events are looked for: half of the window."""
+        return self.window // 2
 
     def of(self, units: RobotUnits) -> "EstimatorSettings":
         """Return the numbers in the units of a robot."""

@@ -12,8 +12,8 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
-from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
+from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.model.disturbance import slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters

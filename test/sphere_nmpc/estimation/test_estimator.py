@@ -8,20 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from estimated_motion import LUMPED, START, predicted, random_ramps
 
-from sphere_nmpc.estimation.estimate import PlantEstimate
 from sphere_nmpc.estimation.estimator import Estimator
-from sphere_nmpc.estimation.interval import Interval
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
+from sphere_nmpc.estimation.pose_filter import PlantEstimate
 from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSE, Vector, as_state, without_momentum
+from sphere_nmpc.model.state import POSE, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 
-LUMPED = RobotParameters().lumped
-START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
 EXACT = ControllerSettings()
 NOISY = ControllerSettings(pose_position_noise=1e-4, pose_orientation_noise=2e-4)
 BOTH = pytest.mark.parametrize("settings", [EXACT, NOISY], ids=["exact", "noisy"])
@@ -31,12 +28,7 @@ GAIN, LAG = 1.1, 0.01
 
 @pytest.fixture
 def sent() -> SentInputs:
-    times = np.arange(0.0, LATER + 1.0, 0.5)
-    speeds = np.random.default_rng(1).uniform(-100.0, 100.0, (times.size, 2))
-    speeds[0] = 0.0
-    made = SentInputs()
-    made.record(FirstOrderHold(times, speeds))
-    return made
+    return random_ramps(np.random.default_rng(1), LATER + 1.0)
 
 
 class Clock:
@@ -57,7 +49,7 @@ def track(
     state, newest = without_momentum(START), estimator.newest
     spacing = PERIOD / poses_per_tick
     for number, time in enumerate(np.arange(0.0, until + 1e-9, spacing).tolist()):
-        state = sent.predict(state, time - spacing - LAG, time - LAG, constants, 0.02)
+        state = predicted(sent, state, time - spacing - LAG, time - LAG, constants)
         if clock is not None:
             clock.time = time
         if newest is None or time > newest[0]:
@@ -135,16 +127,34 @@ def test_other_noise_of_the_poses_keeps_parameters_and_pose(
     np.testing.assert_allclose(state_at(found, DURATION + 0.1), state, atol=5e-4)
 
 
+@BOTH
 @pytest.mark.parametrize("delay", [0.0, 0.3], ids=["at once", "one transition later"])
-def test_learning_by_a_worker_gives_the_constants_of_learning_in_line(
-    sent: SentInputs, delay: float
+def test_learning_by_a_worker_gives_the_estimate_of_learning_in_line(
+    settings: ControllerSettings, sent: SentInputs, delay: float
 ) -> None:
-    in_line, clock = tracked(EXACT, sent), Clock()
-    worker = DelayedWorker(clock, delay)
-    found = Estimator(EXACT, LUMPED, sent, worker=worker)
+    in_line, clock = tracked(settings, sent), Clock()
+    found = Estimator(settings, LUMPED, sent, worker=DelayedWorker(clock, delay))
     track(found, sent, clock=clock)
     clock.time += delay
     assert same(found.plant, in_line.plant)
+    first, second = (one.estimate(DURATION + 0.1) for one in (found, in_line))
+    assert first is not None and second is not None
+    np.testing.assert_array_equal(first.state, second.state)
+    # Until there is another result, what it tells is the same object.
+    again = found.estimate(DURATION + 0.2)
+    assert again is not None and again.plant is first.plant
+    assert again.disturbance is first.disturbance
+
+
+def test_newest_pose_of_a_bunch_takes_the_place_of_the_others() -> None:
+    bunched, single = (Estimator(NOISY, LUMPED, SentInputs()) for _ in range(2))
+    for time in np.arange(0.0, 2.0, 0.05).tolist():
+        for delay in (0.0, 0.002, 0.003) if time > 0.1 else (0.003,):
+            assert bunched.observe(time + delay, START)
+        assert single.observe(time + 0.003, START)
+    first, second = bunched.estimate(2.0), single.estimate(2.0)
+    assert first is not None and second is not None
+    np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
 def same(first: PlantEstimate, second: PlantEstimate) -> bool:
@@ -191,7 +201,7 @@ def test_worker_that_is_busy_for_long_gets_few_tasks_and_then_longer_intervals(
     sent: SentInputs, settings: ControllerSettings
 ) -> None:
     clock = Clock()
-    worker = DelayedWorker(clock, DURATION)
+    worker = DelayedWorker(clock, DURATION + 0.1)
     found = Estimator(settings, LUMPED, sent, worker=worker)
     track(found, sent, clock=clock, poses_per_tick=5)
     assert len(worker.tasks) == 4

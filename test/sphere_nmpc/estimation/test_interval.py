@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.interval import Interval, driven_speeds
+from sphere_nmpc.estimation.motion import Interval, driven_speeds
 from sphere_nmpc.model.state import Vector
 
 LIMIT = 300.0

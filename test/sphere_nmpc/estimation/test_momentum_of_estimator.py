@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimated_motion import START, predicted, random_ramps
 
-from sphere_nmpc.estimation.estimate import Estimate
 from sphere_nmpc.estimation.estimator import Estimator
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,
     Disturbance,
@@ -18,14 +18,12 @@ from sphere_nmpc.model.disturbance import (
     slope_torque,
 )
 from sphere_nmpc.model.error_state import apply_error
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import MOMENTUM, POSE, Vector, as_state, without_momentum
+from sphere_nmpc.model.state import MOMENTUM, POSE, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 
 ROBOT = RobotParameters()
 CONSTANTS = ROBOT.lumped.as_array() * np.array([1.0, 1.03, 0.99, 1.01])
-START = as_state([0.3, -0.2, 0.5, 0.5, 0.5, 0.5])
 EXACT = ControllerSettings()
 NOISY = ControllerSettings(pose_position_noise=5e-3, pose_orientation_noise=float(np.radians(1.0)))
 BOTH = pytest.mark.parametrize("settings", [EXACT, NOISY], ids=["exact", "noisy"])
@@ -40,11 +38,7 @@ class Run:
 
     def __init__(self, settings: ControllerSettings, disturbance: Disturbance) -> None:
         rng = np.random.default_rng(1)
-        times = np.arange(0.0, 20.0, 0.5)
-        speeds = rng.uniform(-60.0, 60.0, (times.size, 2))
-        speeds[0] = 0.0
-        self.sent = SentInputs()
-        self.sent.record(FirstOrderHold(times, speeds))
+        self.sent = random_ramps(rng, 20.0, 60.0)
         self.estimator: Estimator = Estimator(settings, ROBOT.lumped, self.sent)
         self.noisy = settings.pose_position_noise > 0.0
         self.deviations = np.array(
@@ -65,9 +59,9 @@ class Run:
         return found
 
     def advance(self, until: float) -> None:
-        self.state = self.sent.predict(
-            self.state, self.time, until, CONSTANTS, 0.02, self.disturbance
-        ).copy()
+        self.state = predicted(
+            self.sent, self.state, self.time, until, CONSTANTS, self.disturbance
+        )
         self.time = until
 
     def go(self, until: float, push: Vector | None = None) -> None:

@@ -15,8 +15,7 @@ from operator import or_
 import numpy as np
 
 from sphere_nmpc.estimation.motion import Motion
-from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.estimation.unknowns import (
+from sphere_nmpc.estimation.posterior import (
     EXACT,
     KNOT,
     LAG,
@@ -24,13 +23,12 @@ from sphere_nmpc.estimation.unknowns import (
     POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
+    TIGHT,
     PoseNoise,
     Scaling,
 )
+from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.state import Vector
-
-TIGHT = 1e-4
-"""Standard deviation of what is zero [rad/s, rad/s^2]: no step, but invertible."""
 
 _POSE_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
 """Noises of the poses beyond that given that are tried [rad; over the radius in m]."""

@@ -296,7 +296,7 @@ class ControllerNode(RunnableNode):
             return
         actions = self._schedule.pose_received(pose, now)
         self._carry_out(actions)
-        if actions.observe is not None:
+        if actions.observe is not None and self._schedule.starting:
             self._start(now)
 
     def _use_floor(self, floor: Floor | None) -> None:

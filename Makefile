@@ -19,7 +19,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check faults venv homes clean
+.PHONY: help demo test test-fast check walk faults venv homes clean
 
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -37,6 +37,9 @@ test-fast: $(VENV)/.stamp  ## Run the tests that take no more than a few seconds
 check: $(VENV)/.stamp  ## Lint and type check
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+walk: $(VENV)/.stamp  ## Count the calls of a pose, a tick, a goal and a map (ARGS="--profile pose")
+	@$(VENV)/bin/python bench/walk.py $(ARGS)
 
 faults: $(VENV)/.stamp  ## Inject faults into running nodes (ARGS="--quick --json out/faults.json")
 	$(VENV)/bin/python test/campaign/faults.py $(ARGS)

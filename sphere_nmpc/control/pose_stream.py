@@ -10,7 +10,7 @@ import numpy as np
 
 from sphere_nmpc.estimation.pose_filter import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, angle_error, position_error
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
 from sphere_nmpc.settings import ControllerSettings
 
 _FASTEST = 10.0
@@ -100,9 +100,12 @@ class PoseGate:
         turn = self._rate * (_FASTEST * elapsed + _WRONG_BY) + _SMALLEST
         way = self._radius * turn + _NO_STEP * settings.pose_position_noise
         turn += _NO_STEP * settings.pose_orientation_noise
-        moved, turned = position_error(before[1], pose), angle_error(before[1], pose)
-        if moved <= way and turned <= turn:
+        (x, y), (then_x, then_y) = pose[POSITION].tolist(), before[1][POSITION].tolist()
+        moved = math.hypot(x - then_x, y - then_y)
+        half_cosine = abs(float(before[1][QUATERNION] @ pose[QUATERNION]))
+        if moved <= way and half_cosine >= math.cos(0.5 * min(turn, math.pi)):
             return ""
+        turned = angle_error(before[1], pose)
         return (
             f"given a step of {moved:.3g} m and {math.degrees(turned):.3g} deg within "
             f"{elapsed:.3g} s, expected at most {way:.2g} m and {math.degrees(turn):.2g} deg"

@@ -104,6 +104,8 @@ class Schedule:
     """Commitment window: delay of commands for which plans are made further ahead [s]."""
     timer_period: float | None = None
     """Control time between two calls of `tick` [s]; None if no timer is needed."""
+    starting = False
+    """Whether the next plan is the first one towards a goal, so that `start` may not wait."""
     missed = 0
     """Sampling instants that passed without a tick."""
 
@@ -198,7 +200,7 @@ class ClockedSchedule(Schedule):
         self._origin: float | None = None
         self._last = 0
         self._took: deque[float] = deque(maxlen=_RECENT)
-        self._starting = True
+        self.starting = True
         self._late = 0.0
         self._pose_ahead: TimedPose | None = None
 
@@ -258,7 +260,7 @@ class ClockedSchedule(Schedule):
 
         The first plan takes longest, so it waits until the pace, and so its time budget, is known.
         """
-        if not self._starting or self._watch.pace is None or not awaits_start(now):
+        if not self.starting or self._watch.pace is None or not awaits_start(now):
             return None
         return self.restart(now)
 
@@ -278,7 +280,7 @@ class ClockedSchedule(Schedule):
     def completed(self, duration: float, solved: bool) -> None:
         """Record a plan that took `duration` from its request to its command [s, wall]."""
         self._took.append(self._late + duration * (self._watch.pace or 1.0))
-        self._starting = self._starting and not solved
+        self.starting = self.starting and not solved
 
     def final_request(self, now: float) -> PlanRequest:
         """Return a request for control time `now` [s], whatever the grid."""
@@ -286,7 +288,7 @@ class ClockedSchedule(Schedule):
 
     def goal_changed(self) -> None:
         """Start immediately."""
-        self._starting = True
+        self.starting = True
 
     def enabled(self) -> None:
         """Start as towards a new goal."""

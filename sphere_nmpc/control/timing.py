@@ -45,8 +45,11 @@ class ClockWatch:
         self._readings: deque[tuple[float, float]] = deque()
         self._last: tuple[float, float] | None = None
         self._read_at = float("-inf")
-        self._known_pace: float | None = None if simulated else 1.0
-        self._jumped_at: float | None = None
+        self.pace = self._known_pace = None if simulated else 1.0
+        """Control time over wall time; None until it has been measured for long enough."""
+        self.is_steady = True
+        """Whether the clock has not jumped lately."""
+        self._jumped_at = float("-inf")
         self._before = (0.0, 0.0)
         self._held_up: tuple[float, float, float] | None = None
         self.step = 0.0
@@ -54,21 +57,6 @@ class ClockWatch:
         self.has_returned = False
         """Whether the clock has become steady within `MOST_AHEAD` of what it would show without
         jumps."""
-
-    @property
-    def pace(self) -> float | None:
-        """Control time over wall time; None until it has been measured for long enough."""
-        if not self._simulated:
-            return 1.0
-        if not self._readings or self._last is None:
-            return None
-        (then, wall_then), (now, wall) = self._readings[0], self._last
-        return (now - then) / (wall - wall_then) if wall - wall_then >= _ENOUGH else None
-
-    @property
-    def is_steady(self) -> bool:
-        """Whether the clock has not jumped lately."""
-        return self._jumped_at is None
 
     def read(self, now: float, wall: float) -> bool:
         """Record that control time is `now` [s] when the steady clock shows `wall` [s].
@@ -86,14 +74,14 @@ class ClockWatch:
         if jumped and last is not None:
             self.step = now - last[0]
             self.has_returned = False
-            if self._jumped_at is None:
+            if self.is_steady:
                 self._before = (last[0], read_at)
-            self._jumped_at = wall if self._has_pace else None
+            self._jumped_at, self.is_steady = wall, not self._has_pace
             self._readings.clear()
         self._measure(now, wall)
-        if jumped or self._jumped_at is None or wall < self._jumped_at + _STEADY_AFTER:
+        if jumped or self.is_steady or wall < self._jumped_at + _STEADY_AFTER:
             return jumped
-        self._jumped_at = None
+        self.is_steady = True
         self.has_returned = abs(now - self.expected(wall)) <= MOST_AHEAD
         return True
 
@@ -132,13 +120,18 @@ class ClockWatch:
         if self._last is not None and now == self._last[0]:
             if wall - self._last[1] >= _STANDSTILL:
                 readings.clear()
+                self.pace = None if self._simulated else 1.0
             return
         self._last = (now, wall)
         if not readings or wall - readings[-1][1] >= _SPACING:
             readings.append((now, wall))
         while wall - readings[0][1] > _WINDOW and len(readings) > 1:
             readings.popleft()
-        self._known_pace = self.pace or self._known_pace
+        if self._simulated:
+            then, wall_then = readings[0]
+            elapsed = wall - wall_then
+            self.pace = (now - then) / elapsed if elapsed >= _ENOUGH else None
+            self._known_pace = self.pace or self._known_pace
 
 
 class MissedSamples:

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
@@ -14,6 +15,11 @@ from sphere_nmpc.ros.messages import stamp_to_ros
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 )
+
+_TEXTS: dict[type, Callable[[Any], str]] = {
+    float: "{:.6g}".format, np.float64: "{:.6g}".format, bool: ("false", "true").__getitem__,
+}
+"""Texts of values by their type; those of others are as Python has them."""
 
 
 def status_name(node: Node) -> str:
@@ -28,7 +34,10 @@ def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> 
         name=name,
         message=message,
         hardware_id=name.rpartition("/")[0] or "sphere",
-        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+        values=[
+            KeyValue(key=key, value=_TEXTS.get(type(value), str)(value))
+            for key, value in values.items()
+        ],
     )
 
 
@@ -62,9 +71,3 @@ class Diagnostics:
             status(f"{self._name}: {task}", *report()) for task, report in self._tasks.items()
         ]
         self._publisher.publish(message)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

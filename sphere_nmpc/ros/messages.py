@@ -101,7 +101,9 @@ def clock_message(stamp: int) -> bytes:
 
 def clock_stamp(raw: bytes) -> int:
     """Return the stamp [ns] of a Clock message, of 0 or more, as a ROS clock has it."""
-    stamp = _stamp(raw) if _is_plain(raw) else stamp_from_ros(message_object(raw, Clock).clock)
+    stamp = _stamp(raw)
+    if stamp is None:
+        stamp = stamp_from_ros(message_object(raw, Clock).clock)
     if stamp < 0:
         raise InvalidInputError("clock", stamp / NANOSECONDS, "0 or more [s]")
     return stamp
@@ -122,13 +124,14 @@ def pose_message(
 
 def header_stamp(raw: bytes) -> int:
     """Return the stamp [ns] of a serialised PoseStamped."""
-    return _stamp(raw) if _is_plain(raw) else stamp_from_ros(_pose_object(raw).header.stamp)
+    stamp = _stamp(raw)
+    return stamp_from_ros(_pose_object(raw).header.stamp) if stamp is None else stamp
 
 
 def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
     """Return the state, shape (6,), of a serialised PoseStamped; see `framed_pose_from_ros`."""
     begin = _BODY + _LENGTH.size
-    if _is_plain(raw) and len(raw) >= begin:
+    if raw.startswith(_PLAIN) and len(raw) >= begin:
         end = begin + _LENGTH.unpack_from(raw, _BODY)[0]
         at = end + (_BEGIN - end) % 8
         if len(raw) >= at + _POSE.size and raw[begin : end - 1] in (b"", frame.encode()):
@@ -202,7 +205,7 @@ def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold
     if points is None:
         read = message_object(raw, JointTrajectory)
         return hold_from_trajectory(read, now, epoch), stamp_from_ros(read.header.stamp)
-    stamp = _stamp(raw)
+    stamp = _stamp(raw) or 0
     after = points["seconds"].astype(np.int64) * NANOSECONDS + points["nanoseconds"]
     times = (after + ((stamp or now) - epoch)) / NANOSECONDS
     return FirstOrderHold(times, points["speeds"]), stamp
@@ -324,15 +327,12 @@ def message_object(raw: bytes, kind: Any) -> Any:
         raise InvalidInputError(kind.__name__, raw, "a message of this type") from None
 
 
-def _is_plain(raw: bytes) -> bool:
-    """Return whether a message is in plain CDR and has a stamp at least."""
-    return raw.startswith(_PLAIN) and len(raw) >= _BODY
-
-
-def _stamp(raw: bytes) -> int:
+def _stamp(raw: bytes) -> int | None:
+    """Return the stamp [ns] that a message in plain CDR begins with; None if it is no such one."""
+    if not (raw.startswith(_PLAIN) and len(raw) >= _BODY):
+        return None
     seconds, nanoseconds = _STAMP.unpack_from(raw, _BEGIN)
-    stamp: int = seconds * NANOSECONDS + nanoseconds
-    return stamp
+    return int(seconds * NANOSECONDS + nanoseconds)
 
 
 def _points(raw: bytes) -> Any:
@@ -340,7 +340,7 @@ def _points(raw: bytes) -> Any:
 
     That is no frame, the joints in their order, and velocities only.
     """
-    if not (_is_plain(raw) and raw.startswith(_JOINTS, _BODY) and len(raw) >= _POINTS):
+    if not (raw.startswith(_PLAIN) and raw.startswith(_JOINTS, _BODY) and len(raw) >= _POINTS):
         return None
     (count,) = _LENGTH.unpack_from(raw, _POINTS - _LENGTH.size)
     if not 0 < count <= (len(raw) - _POINTS) // _POINT.itemsize:

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 
 from sphere_nmpc.control.timing import ClockWatch
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import clock_stamp, seconds
 
 _RESOLVED = 10**15
@@ -52,10 +53,11 @@ class ControlClock:
     def now(self) -> float | None:
         """Return control time [s]; None before the first message on ``/clock``."""
         stamp = self.stamp()
-        if self.simulated:
-            return self.time_of(stamp) if stamp else None
-        self._watch(stamp)
-        return self.time_of(stamp)
+        if not self.simulated:
+            self._watch(stamp)
+        elif not stamp:
+            return None
+        return (stamp - self.epoch) / NANOSECONDS
 
     def steady_now(self) -> float | None:
         """Return control time [s]; None also while the clock jumps."""
@@ -71,7 +73,7 @@ class ControlClock:
 
     def time_of(self, stamp: int) -> float:
         """Return the control time [s] of a stamp [ns]."""
-        return seconds(stamp, self.epoch)
+        return (stamp - self.epoch) / NANOSECONDS
 
     def hear(self, message: bytes) -> None:
         """Set the node's clock to that of a serialised message on ``/clock``."""

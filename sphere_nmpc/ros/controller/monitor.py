@@ -52,7 +52,6 @@ class ControllerMonitor:
         """Stamps of the poses."""
         self._has_stamp = True
         self._samples = MissedSamples()
-        self._counted = (0, 0, 1.0)
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
         self._incompatible: list[GraphFault] = []
@@ -69,10 +68,6 @@ class ControllerMonitor:
         """Record a pose with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
         self._pose_received, self._pose_age, self._has_stamp = True, age, stamp != 0
 
-    def sampled(self, used: int, missed: int, period: float) -> None:
-        """Record the numbers of sampling instants, `period` [s] apart, with a plan and without."""
-        self._counted = (used, missed, period)
-
     def pose_refused(self, ahead: float, pose_timeout: float) -> None:
         """Log a pose that is refused as its stamp is `ahead` [s] of the node's clock.
 
@@ -87,12 +82,13 @@ class ControllerMonitor:
 
     def check(
         self, now: float | None, follows_clock: bool, jump: float, pose_timeout: float,
-        further: Sequence[GraphFault],
+        further: Sequence[GraphFault], instants: tuple[int, int, float],
     ) -> None:
         """Update the faults at control time `now` [s], None before the first message on /clock.
 
         `jump` is the step of the clock [s] if there was one no more than 0.2 s ago, or 0,
-        `pose_timeout` the largest accepted age of a pose [s], `further` what is found elsewhere.
+        `pose_timeout` the largest accepted age of a pose [s], `further` what is found elsewhere,
+        `instants` the numbers of sampling instants with and without a plan, and their period [s].
         """
         wall, graph = time.monotonic(), self._graph
         self.is_steady = jump == 0.0
@@ -118,7 +114,7 @@ class ControllerMonitor:
         inexact = self.stamps.fault()
         if inexact:
             found.append(GraphFault("inexact stamps", inexact, severe=False))
-        found += self._missed_samples(wall)
+        found += self._missed_samples(wall, *instants)
         senders = graph.publishers(self._command_topic, JointTrajectory)
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
@@ -134,8 +130,9 @@ class ControllerMonitor:
             found = [fault for fault in found if fault.kind != _NO_POSE]
         graph.update([*self._incompatible, *found, *further])
 
-    def _missed_samples(self, wall: float) -> list[GraphFault]:
-        used, missed, period = self._counted
+    def _missed_samples(
+        self, wall: float, used: int, missed: int, period: float
+    ) -> list[GraphFault]:
         self._samples.read(wall, used, missed)
         if not self._samples.share:
             return []

@@ -82,6 +82,7 @@ class ControllerNode(RunnableNode):
         settings = self._settings = declare(
             ControllerNodeSettings().of(robot), on_change=self._change
         ).settings
+        self._period = settings.control_period
         self._scheduling = declare(SchedulingSettings())
         self._frame = declare(FrameSettings()).settings.world_frame
         floor = declare(
@@ -204,7 +205,8 @@ class ControllerNode(RunnableNode):
         jump = 0.0 if watch.is_steady else watch.step
         self._monitor.stamps.deviation = self.controller.estimator.stamp_deviation
         self._monitor.check(
-            now, clock.simulated, jump, self._settings.pose_timeout, self._floor_receiver.faults()
+            now, clock.simulated, jump, self._settings.pose_timeout, self._floor_receiver.faults(),
+            (self._reports.ticks, self._schedule.missed, self._period),
         )
         self._reports.update()
         if self._rotor_receiver is not None:
@@ -226,14 +228,17 @@ class ControllerNode(RunnableNode):
             self._schedule.window = self.controller.rotor_feedback.window
             self._carry_out(self._schedule.tick(now))
 
-    def _start(self) -> None:
-        """Plan immediately if the rotors are at rest and there is a goal to start for."""
-        now = self._control_clock.steady_now()
-        if now is None:
-            return
-        actions = self._schedule.start(now, self.controller.awaits_start)
+    def _start(self, now: float | None) -> bool:
+        """Plan immediately if the rotors are at rest and there is a goal to start for.
+
+        `now` is control time [s], None where it is not known. Return whether a plan was made.
+        """
+        actions = None
+        if now is not None:
+            actions = self._schedule.start(now, self.controller.awaits_start)
         if actions is not None:
             self._begin_grid(actions)
+        return actions is not None
 
     def _begin_grid(self, actions: Actions) -> None:
         """Carry out the first actions of a new grid of sampling instants."""
@@ -253,18 +258,19 @@ class ControllerNode(RunnableNode):
 
     def _plan(self, request: PlanRequest) -> None:
         began, schedule, epoch = time.perf_counter(), self._schedule, self._control_clock.epoch
-        decision = self.controller.decide(request.instant, request.time_budget)
+        controller = self.controller
+        decision = controller.decide(request.instant, request.time_budget)
         starts = schedule.command_time(request, time.perf_counter() - began)
-        hold = schedule.command(request, self.controller.commit(decision, starts))
+        hold = schedule.command(request, controller.commit(decision, starts))
         if hold is not None:
-            seldom = schedule.is_real_time and self._settings.control_period > _SELDOM
-            repeated = seldom and self.controller.rotor_feedback.shows_link
+            seldom = schedule.is_real_time and self._period > _SELDOM
+            repeated = seldom and controller.rotor_feedback.shows_link
             self._sender.send(hold, epoch, repeated)
-        duration = time.perf_counter() - began
-        schedule.completed(duration, decision.solved)
-        self._reports.tick(decision, request.instant, duration, epoch)
-        between = self._settings.control_period > _FOUND_EVERY
-        if between and self.controller.searches and self._found_timer.is_canceled():
+        ended = time.perf_counter()
+        schedule.completed(ended - began, decision.solved)
+        self._reports.tick(decision, request.instant, ended - began, ended, epoch)
+        between = self._period > _FOUND_EVERY
+        if between and controller.searches and self._found_timer.is_canceled():
             self._found_timer.reset()
 
     def _use_found(self) -> None:
@@ -290,36 +296,33 @@ class ControllerNode(RunnableNode):
             return
         actions = self._schedule.pose_received(pose, now)
         self._carry_out(actions)
-        if actions.observe is not None:
-            self._start()
+        if actions.observe is not None and self._schedule.starting:
+            self._start(now)
 
     def _use_floor(self, floor: Floor | None) -> None:
         self.controller.floor = floor
 
     def _set_goals(self, goals: Itinerary) -> None:
         """Visit goals; those that are in force already are only confirmed."""
-        is_new = self.controller.set_goals(goals, self._time_of_goal(goals.stamp))
+        clock, wall = self._control_clock, time.monotonic()
+        now = given = clock.steady_now()
+        if now is not None and abs(now - clock.time_of(goals.stamp)) < _OTHER_CLOCK:
+            given = clock.time_of(goals.stamp)
+        is_new = self.controller.set_goals(goals, given)
         self._stored_goal.supersede()
-        if not is_new and time.monotonic() < self._goal_told + _GOAL_TOLD_EVERY:
+        if not is_new and wall < self._goal_told + _GOAL_TOLD_EVERY:
             return
-        self._goal_told = time.monotonic()
-        self._reports.goal(self._control_clock.stamp(), is_new)
+        self._goal_told = wall
+        self._reports.goal(clock.stamp(), is_new)
         if not is_new:
             return
+        self._schedule.goal_changed()
+        if not self._start(now):
+            self._reports.present()
         self._save_goal()
         number = len(goals.goals)
         several = f"first of {number}: " if number > 1 else ""
         self._event_log.report("goal", f"{several}{goals.goal}")
-        self._schedule.goal_changed()
-        self._start()
-
-    def _time_of_goal(self, stamp: int) -> float | None:
-        """Return the control time of a goal [s]: that of its stamp, or now if that is off."""
-        now = self._control_clock.steady_now()
-        if now is None:
-            return None
-        given = self._control_clock.time_of(stamp)
-        return given if abs(now - given) < _OTHER_CLOCK else now
 
     def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was_in_force = self.controller.cancel()
@@ -345,8 +348,9 @@ class ControllerNode(RunnableNode):
         return response
 
     def _change(self, settings: ControllerNodeSettings) -> None:
-        if settings.control_period != self._settings.control_period:
-            self._period_publisher.publish(Float64(data=settings.control_period))
+        if settings.control_period != self._period:
+            self._period = settings.control_period
+            self._period_publisher.publish(Float64(data=self._period))
         if settings.strategy != self._settings.strategy:
             self._event_log.report("strategy", settings.strategy)
         self._settings, period = settings, self._schedule.timer_period

@@ -91,7 +91,8 @@ class ControllerReports:
         self._decision: Decision | None = None
         self._is_outdated = False
         """Whether the decision is about an earlier goal."""
-        self._ticks = self._ticks_reported = 0
+        self.ticks = self._ticks_reported = 0
+        """Sampling instants since the start."""
         self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._last_tick = float("nan")
         self._last_status = (float("-inf"), Mode.NO_POSE)
@@ -110,12 +111,9 @@ class ControllerReports:
         self._publish_arrival()
 
     def goal(self, stamp: int, is_new: bool = True) -> None:
-        """Publish the goal that is aimed at from now on, `stamp` [ns], and a status with it.
+        """Publish the goal that is aimed at from now on, `stamp` [ns]; the next status is due.
 
         One that is not new has been in force before.
-
-        The status is immediate, so that each goal is shown, also one that is replaced before the
-        next sampling instant.
         """
         goals = self._controller.itinerary
         if goals is not None:
@@ -127,7 +125,6 @@ class ControllerReports:
         if is_new:
             self._is_outdated, self._warned = True, False
         self._publish_arrival()
-        self._publish_present()
 
     def _publish_progress(self, time: float, epoch: int) -> bool:
         """Publish the next goal of a list if the one before has been reached; return whether."""
@@ -136,6 +133,7 @@ class ControllerReports:
             return False
         self._event_log.report("goal", f"{goals.index} of {len(goals.goals)} reached")
         self.goal(stamp_of(time, epoch))
+        self.present()
         return True
 
     @property
@@ -161,10 +159,13 @@ class ControllerReports:
     def update(self) -> None:
         """Publish a status if there was none for a while; call it after each check."""
         if perf_counter() - self._status_at >= _LONGEST_SILENCE:
-            self._publish_present()
+            self.present()
 
-    def _publish_present(self) -> None:
-        """Publish a status between sampling instants."""
+    def present(self) -> None:
+        """Publish a status between sampling instants.
+
+        After a new goal, so that each is shown, also one that is replaced before the next instant.
+        """
         mode, time = self._mode, self._monitor.time
         # Nothing was solved since: the last solve time must not be counted again.
         values: dict[str, Any] = {"time_s": f"{time:.9g}", "strategy": self._strategy}
@@ -209,25 +210,26 @@ class ControllerReports:
         self._period, self._strategy = settings.control_period, settings.strategy
         self._status_values.change(settings)
 
-    def tick(self, decision: Decision, time: float, duration: float, epoch: int) -> None:
-        """Record the decision for the instant `time` [s], which took `duration` [s, wall].
+    def tick(
+        self, decision: Decision, time: float, duration: float, wall: float, epoch: int
+    ) -> None:
+        """Record the decision for the instant `time` [s], which took `duration` until `wall` [s].
 
-        At a high control rate not every instant is published, to save time for the control loop.
-        `epoch` is the stamp of control time 0 [ns].
+        At a high control rate not every instant is published, to save time for the control loop,
+        and what is only published or logged is not computed for the others. `epoch` is the stamp
+        of control time 0 [ns].
         """
-        self._ticks += 1
-        self._monitor.sampled(self._ticks, self._schedule.missed, self._period)
+        self.ticks += 1
         self._decision, self._is_outdated = decision, False
         self._tick_times.append(duration)
-        wall = perf_counter()
         self._gaps.append(wall - self._last_tick)
         self._last_tick = wall
-        plan = decision.plan
-        if decision.solved and decision.is_new:
-            self._solve_times.append(plan.solve_time)
-        self._log_failure(decision)
-        warnings = self._warnings(decision)
-        self._lasting.update(warnings)
+        plan, solved = decision.plan, decision.solved
+        if solved:
+            if decision.is_new:
+                self._solve_times.append(plan.solve_time)
+        elif decision.mode is Mode.FALLBACK:
+            self._fault_log.report("solve failed", plan.message)
         self._status_values.update(decision, time)
         if self._publish_progress(time, epoch):
             return  # the decision is about the goal before
@@ -236,6 +238,9 @@ class ControllerReports:
         if decision.mode is mode and 0.0 <= time - last < _STATUS_EVERY:
             return
         self._last_status = (time, decision.mode)
+        self._log_failures(decision.mode)
+        warnings = self._warnings(decision) if solved else {}
+        self._lasting.update(warnings)
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         self._message = plan.message or plan.status.value
         if decision.mode is Mode.POSE_JUMPED:
@@ -250,13 +255,10 @@ class ControllerReports:
             times, radius = plan.hold.times, self._robot.shell_radius
             self._path.publish(path_to_ros(times, plan.states, radius, epoch, self._frame))
 
-    def _log_failure(self, decision: Decision) -> None:
-        """Log what has failed since the last tick: the solve, a pose or a command."""
+    def _log_failures(self, mode: Mode) -> None:
+        """Log what has failed since the last status, but for solves: a pose or a command."""
         log, controller = self._fault_log, self._controller
-        failed = log.has_risen("controller failed", controller.failures)
-        if decision.mode is Mode.FALLBACK:
-            log.report("solve failed", decision.plan.message)
-        elif failed:
+        if log.has_risen("controller failed", controller.failures) and mode is not Mode.FALLBACK:
             log.report("controller failed", controller.last_failure)
         gate = controller.pose_gate
         if log.has_risen("pose jumped", gate.jumps):
@@ -267,7 +269,7 @@ class ControllerReports:
     def _warnings(self, decision: Decision) -> dict[str, str]:
         """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""
         goal = decision.goal
-        if goal is None or not decision.solved:
+        if goal is None:
             return {}
         missing = {_NO_PROGRESS: decision.no_progress} if decision.no_progress else {}
         return missing | rotor_reserve(
@@ -292,8 +294,8 @@ class ControllerReports:
 
     def loop(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about ticks and the pose's age."""
-        ticks = self._ticks - self._ticks_reported
-        self._ticks_reported = self._ticks
+        ticks = self.ticks - self._ticks_reported
+        self._ticks_reported = self.ticks
         decision = self._decision
         tick_ms, gap_ms = _percentiles(self._tick_times), _percentiles(self._gaps)
         values = {

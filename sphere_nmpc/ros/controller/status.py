@@ -43,8 +43,7 @@ class ControllerStatus:
         self._settings = settings
         self._monitor = StabilityMonitor()
         self._stability: StabilityReport | None = None
-        self._stability_at = float("-inf")
-        self._evaluated_at = float("-inf")
+        self._stability_at = self._evaluated_at = float("-inf")
         # The first call builds the brackets, which takes longer than a sample.
         start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         self._controllability: Controllability = controllability(start, robot.lumped)
@@ -57,23 +56,39 @@ class ControllerStatus:
         self._settings = settings
 
     def update(self, decision: Decision, time: float) -> None:
-        """Update the monitors with the decision for `time` [s]; to be called at every tick."""
-        period = self._settings.period
-        if time < self._stability_at:
-            self._stability_at = self._evaluated_at = float("-inf")
+        """Update the monitor of Eq. (42), which is the paper's strategy's; call it every tick."""
+        settings, state = self._settings, decision.state
+        if settings.strategy != "paper":
+            return
+        goal = self._controller.goal
+        if goal is None or state is None or not decision.solved:
+            return
         # The value function falls from one knot to the next, not within an interval.
-        if decision.solved and time >= self._stability_at + 0.99 * period:
-            self._stability_at = time
-            self._update_stability(decision, time)
-        if decision.state is not None and time >= self._evaluated_at + _CONTROLLABILITY_EVERY:
-            self._evaluated_at = time
-            constants = self._controller.estimator.plant.constants
-            self._controllability = controllability(decision.state[POSE], constants)
+        if 0.0 <= time - self._stability_at < 0.99 * settings.period:
+            return
+        self._stability_at = time
+        self._stability = self._monitor.update(
+            Sample(
+                time, settings.units.scaled(state[POSE]), settings.units.scaled(goal),
+                decision.plan.cost,
+                decision.plan.hold.at(time + settings.period),
+                settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
+            )
+        )
+
+    def _update_controllability(self, decision: Decision, time: float) -> None:
+        since = time - self._evaluated_at
+        if decision.state is None or 0.0 <= since < _CONTROLLABILITY_EVERY:
+            return
+        self._evaluated_at = time
+        constants = self._controller.estimator.plant.constants
+        self._controllability = controllability(decision.state[POSE], constants)
 
     def values(self, decision: Decision, time: float, duration: float, missed: int) -> dict[
         str, Any
     ]:
         """Return the values of the instant `time` [s], decided within `duration` [s]."""
+        self._update_controllability(decision, time)
         plan, controller = decision.plan, self._controller
         return {
             "time_s": f"{time:.9g}",
@@ -153,20 +168,6 @@ class ControllerStatus:
             "stability_steps": report.judged,
             "stability_violations": report.violations,
         }
-
-    def _update_stability(self, decision: Decision, time: float) -> None:
-        """Update the monitor of Eq. (42), which concerns the paper's strategy only."""
-        goal, settings, state = self._controller.goal, self._settings, decision.state
-        if settings.strategy != "paper" or goal is None or state is None:
-            return
-        self._stability = self._monitor.update(
-            Sample(
-                time, settings.units.scaled(state[POSE]), settings.units.scaled(goal),
-                decision.plan.cost,
-                decision.plan.hold.at(time + settings.period),
-                settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
-            )
-        )
 
 
 def goals_in_force(goals: Itinerary | None, active_goal: int) -> dict[str, Any]:

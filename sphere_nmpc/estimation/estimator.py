@@ -103,6 +103,8 @@ class Estimator:
         self._sent = sent
         self._worker = worker or InLine()
         self._filter = PoseFilter(sent, self._scaling)
+        self._knot: MeasuredPose | None = None
+        """Pose at the end of the newest interval that was submitted."""
         self._has_diverged = False
         """Whether a result was not valid since the last estimate."""
         self._begin(Posterior.initial(settings.drive_lag, self._scaling))
@@ -197,8 +199,8 @@ class Estimator:
         begin = Begin(self._scaling, known, self._pose_deviations, given.momentum)
         self._is_begun, poses = self._submit(begin), self._filter.poses
         # Intervals on their way to a worker that has ended are lost.
-        known_pose = self._is_begun and poses and poses[0].time == known.time
-        self._knot: MeasuredPose | None = poses[0] if known_pose else None
+        is_at_pose = self._is_begun and poses and poses[0].time == known.time
+        self._knot = poses[0] if is_at_pose else None
         self._collect()
 
     def _take_over(self, result: Posterior) -> None:

@@ -109,7 +109,8 @@ class SentInputs:
         That is their lengths [s], shape (K,), and the rotor speeds at their ends [rad/s], shape
         (K + 1, 2). Before the first hold the rotors are at rest.
         """
-        times, speeds, at_start = [end], list[Vector](), np.zeros(INPUT_SIZE)
+        times, speeds = [end], list[Vector]()
+        at_start: Vector = np.zeros(INPUT_SIZE)
         # From the newest back, so that a long history costs nothing.
         for hold in reversed(self._holds):
             begun, until = hold.start, times[-1]

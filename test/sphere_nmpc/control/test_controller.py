@@ -13,7 +13,7 @@ from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
 from sphere_nmpc.estimation.estimator import Estimator
-from sphere_nmpc.estimation.pose_filter import Estimate
+from sphere_nmpc.estimation.pose_filter import Estimate, PoseFilter
 from sphere_nmpc.model.disturbance import slope_torque
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -213,7 +213,7 @@ def test_forgetting_keeps_the_goal_only(controller: Controller) -> None:
 FAILING = {
     "newest pose": (Estimator, "newest", False),
     "estimate": (Estimator, "estimate", False),
-    "plant parameters": (Estimator, "plant", False),
+    "pose filter": (PoseFilter, "estimate", False),
     "uncertainty": (Estimate, "uncertainty", False),
     "judgement of the arrival": (ArrivalDetector, "update", False),
     "reset of the strategy": (Scripted, "reset", True),

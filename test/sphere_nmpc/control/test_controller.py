@@ -3,6 +3,7 @@
 """The control loop without its transport, in regular operation and when something fails."""
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np

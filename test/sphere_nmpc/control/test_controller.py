@@ -242,7 +242,7 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
     time = SETTINGS.pose_timeout + 1.0 if late else PERIOD
     in_force = controller.speeds_at(time)
     with monkeypatch.context() as patch:
-        is_property = isinstance(getattr(owner, name), property)
+        is_property = isinstance(getattr(owner, name), property | cached_property)
         patch.setattr(owner, name, property(fail) if is_property else fail)
         hold = controller.commit(controller.decide(time), time)
     if hold is None:

@@ -55,7 +55,8 @@ COMMITTED = Path(__file__).with_name("walk.json")
 POSE, GOAL, KNOWN, MAP = "pose", "goal, to first decision", "goal, known", "map, to floor in force"
 FOLLOWED, RESTING, SOLVED = "tick, followed", "tick, resting", "tick, solved"
 REPORTED = "tick, with a status"
-"""Not committed: what there is to be told depends on the load."""
+_VARIES = {"loop": (SOLVED,), "node": (REPORTED,)}
+"""Not committed: searches in line depend on the last digits, and what is told on the load."""
 COUNTS = "calls", "functions", "files", "records"
 PATIENCE = 120.0
 """How long the nodes may take on a busy machine [s]."""
@@ -166,7 +167,7 @@ class Meter:
         if decision is not None and decision.mode is Mode.AT_GOAL:
             kind = RESTING
         elif decision is not None and decision.mode is Mode.TRACKING:
-            kind = SOLVED if decision.plan.iterations else FOLLOWED
+            kind = SOLVED if decision.is_new else FOLLOWED
         self.end(kind)
 
     def take(self, other: "Meter") -> None:
@@ -415,7 +416,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.update:
         places = (
             f' "{place}": {{\n' + ",\n".join(
-                f'  "{kind}": {counts}' for kind, counts in kinds.items() if kind != REPORTED
+                f'  "{kind}": {counts}' for kind, counts in kinds.items()
+                if kind not in _VARIES[place]
             ) + "\n }" for place, kinds in found.items()
         )
         COMMITTED.write_text("{\n" + ",\n".join(places) + "\n}\n")

@@ -188,18 +188,30 @@ class _Pickler(pickle.Pickler):
 
     def __init__(self, file: IO[bytes]) -> None:
         super().__init__(file, pickle.HIGHEST_PROTOCOL)
-        self.memories: dict[SharedMemory, int] = {}
-
-    def persistent_id(self, obj: Any) -> int | None:
-        if not isinstance(obj, SharedMemory):
-            return None
-        return self.memories.setdefault(obj, len(self.memories))
+        memories: dict[SharedMemory, int] = {}
+        self.memories = memories
+        # Called for shared memories alone; `persistent_id` would be for each of all objects. It
+        # does not refer to the pickler, which would be freed as garbage only.
+        self.dispatch_table = {
+            SharedMemory: lambda one: (
+                _memory_of_message, (memories.setdefault(one, len(memories)),)
+            )
+        }
 
 
 class _Unpickler(pickle.Unpickler):
+    """Unpickler that finds shared memories by their numbers."""
+
     def __init__(self, content: bytes, memories: list[SharedMemory]) -> None:
         super().__init__(io.BytesIO(content))
         self._memories = memories
 
-    def persistent_load(self, pid: int) -> SharedMemory:
-        return self._memories[pid]
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == (__name__, _memory_of_message.__name__):
+            return self._memories.__getitem__
+        return super().find_class(module, name)
+
+
+def _memory_of_message(number: int) -> NoReturn:
+    """Stand for a shared memory of a message, by its number."""
+    raise pickle.UnpicklingError(f"shared memory {number} belongs to a message of a channel")

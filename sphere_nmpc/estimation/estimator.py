@@ -212,7 +212,7 @@ class Estimator:
         is_noisy = declared or any(result.pose_noise)
         # Once the constants are known, more knots would tell no more of them.
         is_known = is_noisy or bool(np.max(deviations) < numbers.known)
-        self._spacing = numbers.spacing if is_known else numbers.first_spacing
+        self._spacing = numbers.spacing if is_known else 0.5 * numbers.spacing
         learns = settings.learning
         self._plant = PlantEstimate(
             scaling.lumped(common) if learns else scaling.nominal,

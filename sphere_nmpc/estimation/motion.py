@@ -13,6 +13,7 @@ from sphere_nmpc.estimation.posterior import (
     LAG,
     LOCAL,
     SHARE,
+    SHARE_STEP,
     Scaling,
     disturbance_of,
 )
@@ -26,8 +27,6 @@ _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
 _RATE_STEP = 1e-3
 """Time over which a rate of the pose is taken [s]."""
-_SHARE_STEP = 0.02
-"""Step of the difference by the share, downwards: ramps of plans are slightly below the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +213,10 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     # Inwards at the longest lag, where the window would begin before the lead.
     change = _LAG_STEP if lag < 0.5 * scaling.numbers.longest_lag else -_LAG_STEP
     by[:, :8, KNOT + LAG] = differ(driven, change * scaling.numbers.lag, ends, change)
-    lower = float(common[SHARE]) - _SHARE_STEP
+    # Downwards, as ramps of plans are slightly less steep than the limit.
+    lower = float(common[SHARE]) - SHARE_STEP
     if interval.steepest > lower * limit:
-        by[:, :8, KNOT + SHARE] = differ(interval.driven(lower * limit), 0.0, ends, -_SHARE_STEP)
+        by[:, :8, KNOT + SHARE] = differ(interval.driven(lower * limit), 0.0, ends, -SHARE_STEP)
     within = zip(ends[:-1], interval.poses[:-1], strict=True)
     innovations = [error_between(end[POSE], pose) for end, pose in within]
     rates = [

@@ -138,7 +138,7 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
     },
     EstimatorSettings: {
         name: ((value,), _ESTIMATOR) for name, value in {
-            "spacing": 0.4, "first_spacing": 0.2, "known": 2e-2, "longest": 0.5,
+            "spacing": 0.4, "known": 2e-2, "longest": 0.5,
             "pose_spacing": 0.1, "lead": 0.1, "window": 4, "step": 0.15,
             "constants": (0.04, 0.07, 0.02, 0.03), "lag": 2e-2, "longest_lag": 0.0, "share": 0.05,
             "imbalance": 3.0, "pose": 1e-4, "prediction": 1e-3, "share_spread": 3e-3,

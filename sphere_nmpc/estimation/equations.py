@@ -66,12 +66,6 @@ class Prior:
     gradient: Vector
     scale: float
 
-    @classmethod
-    def of(cls, knot: Vector, common: Vector, covariance: Vector, scale: float) -> "Prior":
-        """Return a Gaussian with its mean at the point."""
-        information = np.asarray(np.linalg.inv(covariance), dtype=float)
-        return cls(knot, common, information, np.zeros(LOCAL), scale)
-
     def blurred(self, factor: Vector) -> "Prior":
         """Return it with a covariance F F^T more; `factor` F has shape (19, K)."""
         columns = self.information @ factor

@@ -25,7 +25,7 @@ from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.worker.contract import Reply, Store, Task, Worker
+from sphere_nmpc.worker.contract import Reply, Store, Worker
 from sphere_nmpc.worker.in_line import InLine
 
 _KEY = "estimator"
@@ -34,35 +34,23 @@ _MOST_PENDING = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Begin:
-    """Task that makes a moving horizon; attributes as for `MovingHorizon`."""
-
-    scaling: Scaling
-    begun: Posterior
-    pose_deviations: Vector
-    momentum: bool
-
-    def __call__(self, store: Store) -> Posterior:
-        """Make it in the worker."""
-        made = store[_KEY] = MovingHorizon(
-            self.scaling, self.begun, self.pose_deviations, self.momentum
-        )
-        return made.result
-
-
-@dataclass(frozen=True, eq=False)
 class Observe:
-    """Task that takes an interval, or with `interval` None a pose after a gap, into account."""
+    """Task that takes an interval, or with `interval` None a pose after a gap, into account.
+
+    It does so with a moving horizon that has `begun` anew, or with that kept in the worker.
+    """
 
     interval: Interval | None
     time: float
     pose: Vector
+    begun: MovingHorizon | None
 
     def __call__(self, store: Store) -> Posterior | None:
         """Update the moving horizon; None where the worker has lost it."""
-        horizon: MovingHorizon | None = store.get(_KEY)
+        horizon: MovingHorizon | None = self.begun or store.get(_KEY)
         if horizon is None:
             return None
+        store[_KEY] = horizon
         if self.interval is None:
             horizon.start_at(self.time, self.pose)
         else:
@@ -195,13 +183,13 @@ class Estimator:
         noise = [given.pose_position_noise] * 2 + [given.pose_orientation_noise] * 3
         self._pose_deviations: Vector = np.maximum(noise, least)
         self._take_over(known)
+        self._begun: MovingHorizon | None = MovingHorizon(
+            self._scaling, known, self._pose_deviations, given.momentum
+        )
+        # Intervals on their way are lost.
         self._replies: list[Reply[Posterior | None]] = []
-        begin = Begin(self._scaling, known, self._pose_deviations, given.momentum)
-        self._is_begun, poses = self._submit(begin), self._filter.poses
-        # Intervals on their way to a worker that has ended are lost.
-        is_at_pose = self._is_begun and poses and poses[0].time == known.time
-        self._knot = poses[0] if is_at_pose else None
-        self._collect()
+        poses = self._filter.poses
+        self._knot = poses[0] if poses and poses[0].time == known.time else None
 
     def _take_over(self, result: Posterior) -> None:
         """Make a result, under the present settings, the one in force."""
@@ -212,7 +200,7 @@ class Estimator:
         is_noisy = declared or any(result.pose_noise)
         # Once the constants are known, more knots would tell no more of them.
         is_known = is_noisy or bool(np.max(deviations) < numbers.known)
-        self._spacing = numbers.spacing if is_known else numbers.first_spacing
+        self._spacing = numbers.spacing if is_known else 0.5 * numbers.spacing
         learns = settings.learning
         self._plant = PlantEstimate(
             scaling.lumped(common) if learns else scaling.nominal,
@@ -226,41 +214,34 @@ class Estimator:
             result, self._plant, self._pose_deviations, is_noisy, settings.longest_step
         )
 
-    def _submit(self, task: Task[Posterior | None]) -> bool:
-        """Return whether the worker takes a task."""
-        reply = self._worker.submit(task)
+    def _submit(self, interval: Interval | None, end: MeasuredPose) -> bool:
+        """Return whether the worker takes an interval to a pose, or this pose after a gap."""
+        reply = self._worker.submit(Observe(interval, end.time, end.pose, self._begun))
         if reply.error:
             return False
+        self._begun, self._knot = None, end
         self._replies.append(reply)
         return True
 
     def _collect(self) -> None:
         """Take over the results that have arrived."""
         self._worker.poll()
-        replies = self._replies
-        while replies and not replies[0].pending:
-            reply = replies.pop(0)
+        while self._replies and not self._replies[0].pending:
+            reply = self._replies.pop(0)
             result = reply.result
             if result is None:
                 if reply.ready:  # the worker has lost the moving horizon
-                    self._is_begun, self._knot = False, None
+                    self._begin(self._result)
             elif result.is_valid:
                 self._take_over(result)
             else:
                 # All that follows it would fail, too.
                 self._has_diverged = True
                 self._begin(Posterior.initial(self._settings.drive_lag, self._scaling))
-                return
 
     def _learn(self) -> None:
         """Submit the intervals since the last knot that are long enough."""
-        if not self._is_begun:
-            self._begin(self._result)
-        first = self._filter.poses[0]
-        if self._is_begun and self._knot is None and self._submit(
-            Observe(None, first.time, first.pose)
-        ):
-            self._knot = first
+        if self._knot is None and self._submit(None, self._filter.poses[0]):
             self._collect()
         while self._knot is not None and self._submit_interval(self._knot):
             self._collect()
@@ -285,10 +266,7 @@ class Estimator:
         if end.time - knot.time <= numbers.longest:
             within = poses[: until[0]] if self._filter.is_noisy else []
             interval = self._interval(knot.time, within, end)
-        if not self._submit(Observe(interval, end.time, end.pose)):
-            return False
-        self._knot = end
-        return True
+        return self._submit(interval, end)
 
     def _interval(self, since: float, within: list[MeasuredPose], end: MeasuredPose) -> Interval:
         """Return the interval from `since` [s] to a pose, with some of those within it."""

@@ -13,6 +13,7 @@ from sphere_nmpc.estimation.posterior import (
     LAG,
     LOCAL,
     SHARE,
+    SHARE_STEP,
     Scaling,
     disturbance_of,
 )
@@ -26,8 +27,6 @@ _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
 _RATE_STEP = 1e-3
 """Time over which a rate of the pose is taken [s]."""
-_SHARE_STEP = 0.02
-"""Step of the difference by the share, downwards: ramps of plans are slightly below the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +66,19 @@ class Interval:
         return float(np.max(np.abs(slopes), initial=0.0))
 
     def driven(self, acceleration: float) -> "Interval":
-        """Return the interval with the speeds that drives of this limit [rad/s^2] attain."""
+        """Return the interval with the speeds that drives of this limit [rad/s^2] attain.
+
+        A rotor that has fallen behind turns at the limit until it has caught up. At the start it
+        has the speed that was sent.
+        """
         if self.steepest <= acceleration:
             return self
-        durations, inputs = driven_speeds(self.durations, self.inputs, acceleration)
-        return replace(self, durations=durations, inputs=inputs)
+        given = np.concatenate(([0.0], np.cumsum(self.durations)))
+        paths = [_followed(given, column, acceleration) for column in self.inputs.T]
+        times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
+        times = times[np.concatenate(([True], np.diff(times) > SAME))]
+        speeds = np.column_stack([np.interp(times, *path) for path in paths])
+        return replace(self, durations=np.diff(times), inputs=speeds)
 
     def window(self, lag: float) -> tuple[Vector, Vector, list[int]]:
         """Return the speeds that moved the sphere at this lag [s], as straight pieces.
@@ -86,25 +93,6 @@ class Interval:
         for i in range(INPUT_SIZE):
             speeds[:, i] = np.interp(times, given, self.inputs[:, i])
         return np.diff(times), speeds, np.searchsorted(times, self.after).tolist()
-
-
-def driven_speeds(
-    durations: Vector, inputs: Vector, acceleration: float
-) -> tuple[Vector, Vector]:
-    """Return the pieces of rotors that follow straight pieces at a limited acceleration.
-
-    A rotor that has fallen behind turns at the limit until it has caught up. At the start it has
-    the speed that was sent.
-
-    Both are lengths of pieces [s], shape (K,), and the speeds at their ends [rad/s], shape
-    (K + 1, 2).
-    """
-    given = np.concatenate(([0.0], np.cumsum(durations)))
-    paths = [_followed(given, column, acceleration) for column in inputs.T]
-    times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
-    times = times[np.concatenate(([True], np.diff(times) > SAME))]
-    speeds = [np.interp(times, *path) for path in paths]
-    return np.diff(times), np.column_stack(speeds)
 
 
 def _followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], list[float]]:
@@ -214,9 +202,10 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     # Inwards at the longest lag, where the window would begin before the lead.
     change = _LAG_STEP if lag < 0.5 * scaling.numbers.longest_lag else -_LAG_STEP
     by[:, :8, KNOT + LAG] = differ(driven, change * scaling.numbers.lag, ends, change)
-    lower = float(common[SHARE]) - _SHARE_STEP
+    # Downwards, as ramps of plans are slightly less steep than the limit.
+    lower = float(common[SHARE]) - SHARE_STEP
     if interval.steepest > lower * limit:
-        by[:, :8, KNOT + SHARE] = differ(interval.driven(lower * limit), 0.0, ends, -_SHARE_STEP)
+        by[:, :8, KNOT + SHARE] = differ(interval.driven(lower * limit), 0.0, ends, -SHARE_STEP)
     within = zip(ends[:-1], interval.poses[:-1], strict=True)
     innovations = [error_between(end[POSE], pose) for end, pose in within]
     rates = [

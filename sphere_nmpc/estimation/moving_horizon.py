@@ -85,7 +85,10 @@ class MovingHorizon:
     def _restart(self) -> None:
         """Continue from the result, with an empty window."""
         known = self.result
-        self._prior = Prior.of(known.knot, known.common, known.covariance, known.scale)
+        information: Vector = np.asarray(np.linalg.inv(known.covariance), dtype=float)
+        self._prior = Prior(
+            known.knot, known.common, information, np.zeros(LOCAL), known.scale
+        )
         self._point = Point((known.knot,), known.common)
         self._motions: list[Motion] = []
         self._hypothesis = Hypothesis(

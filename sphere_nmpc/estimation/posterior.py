@@ -49,8 +49,9 @@ _LEAST_SHARE = 0.4
 """Least share of the acceleration limit that drives attain."""
 _SHORTEST_LAG = 2e-4
 """A lag below this [s] is taken as zero: it moves the sphere by less than half a millimetre."""
-_ATTAINED = 0.98
-"""Share above which the drives count as attaining the limit."""
+SHARE_STEP = 0.02
+"""Least difference from the acceleration limit that counts as weakness of the drives [-]; ramps of
+plans are nearer to it."""
 
 
 class PoseNoise(NamedTuple):
@@ -183,7 +184,7 @@ class Scaling:
     def attained(self, common: Vector) -> float:
         """Return the acceleration that the drives attain [rad/s^2]; inf where it is the limit."""
         share = float(common[SHARE])
-        return share * self.acceleration if share < _ATTAINED else np.inf
+        return share * self.acceleration if share < 1.0 - SHARE_STEP else np.inf
 
 
 def disturbance_of(knot: Vector, common: Vector) -> Disturbance:

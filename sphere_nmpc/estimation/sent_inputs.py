@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent."""
 
-from bisect import bisect_left, bisect_right
 from collections import deque
 
 import numpy as np
@@ -119,9 +118,9 @@ class SentInputs:
             speeds = speeds or [hold.at(end)]
             since = max(start, begun)
             if since < until:
-                within = slice(bisect_right(hold.times, since), bisect_left(hold.times, until))
-                times += [*reversed(hold.times[within].tolist()), since]
-                speeds += [*reversed(hold.speeds[within]), hold.at(since)]
+                knots = [*reversed(hold.knots_between(since, until)), since]
+                times += knots
+                speeds += map(hold.at, knots)
             if begun <= start + SAME:
                 at_start = speeds[-1]
                 break

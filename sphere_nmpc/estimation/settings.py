@@ -14,9 +14,8 @@ class EstimatorSettings:
 
     # Poses and intervals
     spacing: float = 0.2
-    """Least time between two knots, which are poses [s]."""
-    first_spacing: float = 0.1
-    """Least time between two knots of exact poses as long as the constants are not known [s]."""
+    """Least time between two knots, which are poses [s]; half of it for exact ones as long as the
+    constants are not known."""
     known: float = 5e-3
     """Relative standard deviation below which a constant is known [-]."""
     longest: float = 2.0
@@ -93,7 +92,6 @@ class EstimatorSettings:
         return replace(
             self,
             spacing=self.spacing * units.time,
-            first_spacing=self.first_spacing * units.time,
             longest=self.longest * units.time,
             lead=self.lead * units.time,
             step=self.step * units.time,

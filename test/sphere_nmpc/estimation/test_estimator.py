@@ -173,7 +173,7 @@ def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known(
     before = found.plant
     worker.lose()
     track(found, sent, DURATION + PERIOD)
-    assert found.plant.constants == before.constants
+    assert found.plant.constants.as_array() == pytest.approx(before.constants.as_array(), rel=1e-4)
     track(found, sent, LATER)
     assert not same(found.plant, before)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
@@ -189,7 +189,7 @@ def test_intervals_keep_up_with_poses_that_are_faster_than_the_control_loop(
     spacing = PERIOD / 5
     # Ends of intervals of 0.2 s, of which the last tick leaves less than one.
     assert DURATION - worker.tasks[-1].time < 0.2 + spacing
-    spacings = np.diff([task.time for task in worker.tasks[1:]])
+    spacings = np.diff([task.time for task in worker.tasks])
     # Of exact poses they are shorter as long as the constants are not known.
     known = np.flatnonzero(spacings > 0.15)[0]
     assert spacings[:known] == pytest.approx(0.1) and spacings[known:] == pytest.approx(0.2)
@@ -210,7 +210,7 @@ def test_worker_that_is_busy_for_long_gets_few_tasks_and_then_longer_intervals(
     worker.busy = False
     track(found, sent, LATER, clock=clock, poses_per_tick=5)
     assert len(worker.tasks) > 8
-    assert max(np.diff([task.time for task in worker.tasks[1:]])) < 1.5
+    assert max(np.diff([task.time for task in worker.tasks])) < 1.5
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
 
 

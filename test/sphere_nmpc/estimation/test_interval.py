@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.motion import Interval, driven_speeds
+from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.model.state import Vector
 
 LIMIT = 300.0
@@ -29,7 +29,9 @@ def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
     rng = np.random.default_rng(seed)
     durations = rng.uniform(0.05, 0.25, 8)
     inputs = rng.uniform(-100.0, 100.0, (9, 2))
-    times, speeds = driven_speeds(durations, inputs, LIMIT)
+    raw = Interval(np.array([1.0]), np.zeros((1, 6)), durations, inputs)
+    driven = raw.driven(LIMIT)
+    times, speeds = driven.durations, driven.inputs
     expected = simulated(durations, inputs, LIMIT)
     at = np.arange(len(expected)) * STEP
     corners = np.concatenate(([0.0], np.cumsum(times)))
@@ -38,7 +40,6 @@ def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
     assert np.max(np.abs(found - expected)) < 2.0 * STEP * 200.0 / 0.05
     slopes = np.diff(speeds, axis=0) / times[:, None]
     assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-6)
-    raw = Interval(corners[-1:], np.zeros((1, 6)), durations, inputs)
     assert np.array_equal(raw.driven(raw.steepest).inputs, inputs)
 
 

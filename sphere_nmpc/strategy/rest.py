@@ -8,7 +8,6 @@ that axis would turn the sphere. At rest on a slope or out of balance the moment
 its rate must be perpendicular to the axis, too.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,10 +21,6 @@ from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
-SMALL_MOMENTUM = 1.0
-"""Momentum [rad/s] that is small. A sphere with less rolls steadily, rests and stops on its path
-as one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
-plan for a momentum that differs by less can still be followed."""
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
 REST_TIME = 1.0
@@ -47,14 +42,6 @@ _STEP = 1e-6
 """Step of the difference quotients [rad]."""
 _LARGEST_TURN = 0.5
 """Largest change of an iteration [rad]."""
-
-
-def is_small(situation: Situation, limit: float = SMALL_MOMENTUM) -> bool:
-    """Return whether the momentum is small, together with what is added in the next second."""
-    disturbance = situation.disturbance
-    vectors = situation.momentum, disturbance.slope, disturbance.imbalance
-    # On three numbers a norm by NumPy takes twice as long.
-    return sum(math.sqrt(v.dot(v)) for v in vectors) < limit
 
 
 def speeds_of_rest(momentum: Vector, quaternion: Vector, max_speed: float) -> Vector:
@@ -115,7 +102,7 @@ def come_to_rest(
 def stop(situation: Situation, robot: RobotParameters, message: str, given_up: str = "") -> Plan:
     """Return a plan to rest on the path in force, which what is on the floor is clear of."""
     status, in_force = PlanStatus.RAMP_TO_REST, situation.in_force
-    moving = bool(np.any(situation.input_in_force)) and is_small(situation)
+    moving = bool(np.any(situation.input_in_force)) and situation.has_small_momentum
     if in_force is None or not moving:
         plan = come_to_rest(situation, robot, message, status)
         return replace(plan, given_up=given_up)

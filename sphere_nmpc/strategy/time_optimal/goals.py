@@ -77,7 +77,7 @@ class HeldGoal:
                 situation.disturbance.imbalance, self._direction, unloading, found_none
             )
             return np.concatenate((goal[:2], self._unloading))
-        if self._settings.is_small(situation):
+        if situation.has_small_momentum:
             return goal  # what may be an error of the estimate is no reason to leave
         if end is None:
             end = self._expected(situation, holding)
@@ -90,7 +90,7 @@ class HeldGoal:
         """Return the momentum to be expected at the arrival of a new plan, shape (3,)."""
         if holding:
             return situation.momentum
-        if self._settings.is_out_of_balance(situation):
+        if situation.is_out_of_balance:
             # The plan ends without momentum along the body's z axis; the torque has to be held.
             return np.zeros(3)
         way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))

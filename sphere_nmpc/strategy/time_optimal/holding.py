@@ -28,7 +28,7 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.contract import SMALL_MOMENTUM, Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import come_to_rest
@@ -81,7 +81,7 @@ class RestAtGoal:
         error = state_error(situation.state, situation.goal)
         tuning, moves = self._tuning, bool(situation.goal_rate.any())
         noisy = tuning.dead_band(situation.noise, 0.0) > tuning.leaving_error
-        small = error <= tuning.least_dead_band and not noisy and tuning.is_small(situation)
+        small = error <= tuning.least_dead_band and not noisy and situation.has_small_momentum
         if small and not moves:
             return come_to_rest(situation, self._robot, f"at the goal, {error:.1e} off")
         goal = nearer_sign(situation.goal, situation.state)
@@ -114,7 +114,7 @@ class RestAtGoal:
         goal, tuning = situation.goal, self._tuning
         h1, h2, h3 = in_body(situation.momentum, goal[QUATERNION])
         level = float(np.hypot(h1, h2))
-        if level < tuning.small_momentum:
+        if level < SMALL_MOMENTUM:
             return goal
         _, c1, r1, r3 = situation.constants.as_array()
         square = rotation.vertical(goal[QUATERNION])[2] ** 2

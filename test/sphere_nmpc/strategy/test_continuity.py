@@ -15,9 +15,9 @@ from sphere_nmpc.model.state import NO_MOMENTUM, QUATERNION, Vector, make_state,
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.background import later, solver_for
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
 from sphere_nmpc.strategy.time_optimal.guide import local_goal
-from sphere_nmpc.strategy.time_optimal.searches import later, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.scenarios import draw_scenarios

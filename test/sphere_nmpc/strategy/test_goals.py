@@ -15,9 +15,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import NO_MOMENTUM, POSITION, QUATERNION, Vector, make_state
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import holdable_goal
+from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
 from sphere_nmpc.strategy.time_optimal.guide import local_goal, time_to_go
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 ROBOT = RobotParameters()

@@ -37,10 +37,11 @@ from sphere_nmpc.model.state import (
     state_error,
 )
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.at_rest import is_saturated
 from sphere_nmpc.strategy.clearance import Margin, clearance_of
 from sphere_nmpc.strategy.contract import SMALL_MOMENTUM, Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import hold_momentum, is_saturated, speeds_of_rest, stop
+from sphere_nmpc.strategy.rest import hold_momentum, speeds_of_rest, stop
 from sphere_nmpc.strategy.time_optimal.arrival import RAISES, ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later, solver_for
 from sphere_nmpc.strategy.time_optimal.guide import way_of_time

@@ -20,12 +20,11 @@ from dataclasses import replace
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.at_rest import SATURATED, AtRest
 from sphere_nmpc.strategy.clearance import stop_before_contact
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus, Unreachable
-from sphere_nmpc.strategy.rest import SATURATED, come_to_rest, stop
-from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
-from sphere_nmpc.strategy.time_optimal.holding import RestAtGoal
+from sphere_nmpc.strategy.rest import come_to_rest, stop
 from sphere_nmpc.strategy.time_optimal.machine import (
     Following,
     Holding,
@@ -60,8 +59,7 @@ class TimeOptimalStrategy:
     ) -> None:
         self._robot = robot
         self._tuning = TimeOptimalSettings() if tuning is None else tuning
-        self._held_goal = HeldGoal(robot.max_rotor_speed, self._tuning)
-        self._rest_at_goal = RestAtGoal(settings, robot, self._tuning)
+        self._at_rest = AtRest(settings, robot, self._tuning)
         self._machine = Machine(settings, robot, self._tuning)
         self._last: Situation | None = None
 
@@ -85,23 +83,21 @@ class TimeOptimalStrategy:
     def change(self, settings: ControllerSettings) -> None:
         """Use another planning effort and other weights; plan and started search are kept."""
         self._machine.change(settings)
-        self._rest_at_goal.change(settings)
+        self._at_rest.change(settings)
 
     def reset(self) -> None:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._machine.reset()
         self._last = None
-        self._held_goal.reset()
-        self._rest_at_goal.reset()
+        self._at_rest.reset()
 
     def plan(self, situation: Situation) -> Plan:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
-        machine, held = self._machine, self._held_goal
+        machine, at_rest = self._machine, self._at_rest
         situation = self._with_member(situation)
         if self._is_other_goal(situation):
-            held.reset()
-            self._rest_at_goal.reset()
+            at_rest.reset()
             machine.forget_goal()
         self._last = situation
         machine.use_attained(situation.acceleration)
@@ -109,24 +105,24 @@ class TimeOptimalStrategy:
         if isinstance(before, Following):
             end = before.momentum_at_arrival(situation)
         rests = isinstance(before, Holding)
-        goal = held.goal(situation, end, rests, machine.has_found_none)
+        goal = at_rest.goal(situation, end, rests, machine.has_found_none)
         if goal is not situation.goal:
             situation = replace(situation, goal=goal)
         state = machine.advance(situation, began + situation.time_budget)
         if isinstance(state, Holding) and not rests:
-            self._rest_at_goal.reset()
+            at_rest.forget_corrections()
         plan = self._plan_of(state, situation)
         took = plan.solve_time if isinstance(state, Holding) else time.perf_counter() - began
         return replace(
             plan, until=machine.until(situation), tolerance=self._tuning.arrival_error,
-            given_up=plan.given_up or held.given_up, solve_time=took,
+            given_up=plan.given_up or at_rest.limitation, solve_time=took,
         )
 
     def _plan_of(self, state: State, situation: Situation) -> Plan:
         """Return the plan of a state."""
         robot, search = self._robot, self._machine.search
         if isinstance(state, Holding):
-            return self._rest_at_goal.plan(situation)
+            return self._at_rest.plan(situation)
         if isinstance(state, Following):
             return state.in_control_time(situation, robot.max_rotor_speed)
         if isinstance(state, Saturated):

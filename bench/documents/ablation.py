@@ -108,7 +108,6 @@ _ESTIMATOR = (WRONG, PUSHED, SLIPPERY, SLOPE, DIFFUSING, NOISY, NOT_GIVEN, WEAK)
 Studies = tuple[Study, ...]
 CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
     TimeOptimalSettings: {
-        "small_momentum": ((3.0,), _MOMENTUM),
         "spacing": ((0.3, 0.6), (EXACT,)),
         "trial_iterations": ((6, 24), (EXACT,)),
         "error_weight": ((5.0, 20.0), (EXACT,)),
@@ -124,7 +123,7 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
         "near_radii": ((5.0, 20.0), (FAR,)),
         "noisy_share": ((0.0, 1.0), _NOISES),
         "largest_growth": ((1.0,), (EXACT, *_MOMENTUM, WEAK)),
-        "fruitless_searches": ((1, 1000000), (EXACT, WRONG, FAR)),
+        "failed_searches": ((1, 1000000), (EXACT, WRONG, FAR)),
         "slip_acceleration": ((1.0,), (SLIPPERY,)),
         "attained_share": ((0.9, 1.0), (WEAK,)),
         "largest_change_of_goal": ((0.05, 10.0), _MOMENTUM),

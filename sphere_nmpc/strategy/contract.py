@@ -2,18 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contract between a strategy and the control loop, and strategies by name."""
 
+import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import STANDING, Orientation, moved
+from sphere_nmpc.model.goal import STANDING, Goal, Orientation, moved
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.worker.contract import Worker
+
+SMALL_MOMENTUM = 1.0
+"""Momentum [rad/s] that is small. A sphere with less rolls steadily, rests and stops on its path
+as one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
+plan for a momentum that differs by less can still be followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +99,31 @@ class Situation:
         """Estimated momentum at that instant, shape (3,) [rad/s; world frame]."""
         return self.state[MOMENTUM]
 
+    @cached_property
+    def has_small_momentum(self) -> bool:
+        """Whether the momentum is small, together with what is added in the next second."""
+        disturbance = self.disturbance
+        return sum(map(_length, (
+            self.momentum, disturbance.slope, disturbance.imbalance
+        ))) < SMALL_MOMENTUM
+
+    @property
+    def is_out_of_balance(self) -> bool:
+        """Whether plans end without momentum along the body's z axis by an imbalance."""
+        return _length(self.disturbance.imbalance) >= SMALL_MOMENTUM
+
+    def aim(self, pose: Vector) -> Goal:
+        """Return the goal at a member of the set, shape (6,), for a plan from time 0 (now) on."""
+        return Goal(pose, self.orientation, self.goal_rate)
+
     def goal_after(self, elapsed: float, goal: Vector | None = None) -> Vector:
         """Return where the goal, or another member of the set, is after a time [s], shape (6,)."""
         return moved(self.goal if goal is None else goal, self.goal_rate, elapsed)
+
+
+def _length(vector: Vector) -> float:
+    """Return the length of three numbers, for which a norm by NumPy takes twice as long."""
+    return math.sqrt(vector.dot(vector))
 
 
 class Strategy(Protocol):

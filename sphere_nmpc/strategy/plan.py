@@ -1,17 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Result of a strategy at a sampling instant."""
+"""Plans: rotor speeds with where they lead, from the search to the command."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
 from sphere_nmpc.solver.roll_out import roll_out
+
+_NOT_TOLD = Goal(np.full(6, np.nan))
 
 
 class PlanStatus(Enum):
@@ -46,16 +49,33 @@ class Unreachable(Enum):
 class Plan:
     """Rotor speeds from now on and the states that they are predicted to lead to.
 
+    The control loop takes plans in control time. A plan of a search begins at time 0; `delayed`
+    puts it in force.
+
     Attributes
     ----------
     status : PlanStatus
         Origin and quality of the plan.
     hold : FirstOrderHold
-        Rotor speeds [rad/s]; knot times in control time [s], the first at the sampling instant.
+        Rotor speeds [rad/s]; knot times in control time [s], the first at the sampling instant, or
+        from time 0 on.
     states : ndarray, shape (K, 9)
         Predicted states at the knots of `hold`.
+    goal : Goal
+        What it aims at: the member of the set at which it ends; its pose is nan if not told.
+    error : float
+        Predicted terminal error [-], inf where it is not finite, nan where it is not told. Of a
+        minimum-time problem it is the sum of the absolute residuals, else the norm in R^6.
+    remaining_time : float
+        Time from its end to the final goal [s]; 0 where that is its own.
+    final : ndarray of shape (6,), or None
+        Final goal, where its own is on the way there.
+    turns : int
+        Whole turns of steady rolling that were left out of the problem.
+    work : int
+        Cost of the solve in microseconds or so, the same on every machine.
     arrival : float
-        Control time at which the goal is reached [s]; nan where the strategy does not predict it.
+        Control time at which the final goal is reached [s]; nan where it is not predicted.
     cost : float
         Value of the optimal control problem, in the strategy's own units; nan where none.
     iterations : int
@@ -88,19 +108,43 @@ class Plan:
     status: PlanStatus
     hold: FirstOrderHold
     states: Vector
-    arrival: float = float("nan")
-    cost: float = float("nan")
+    goal: Goal = _NOT_TOLD
+    error: float = math.nan
+    remaining_time: float = 0.0
+    final: Vector | None = None
+    turns: int = 0
+    work: int = 0
+    arrival: float = math.nan
+    cost: float = math.nan
     iterations: int = 0
-    kkt_residual: float = float("nan")
+    kkt_residual: float = math.nan
     solve_time: float = 0.0
     message: str = ""
     given_up: str = ""
     unreachable: Unreachable | None = None
     motion: int = 0
-    clearance: float = float("nan")
+    clearance: float = math.nan
     beyond: float = 0.0
     until: float = -math.inf
     tolerance: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Time from time 0 to the arrival at its own goal [s], of one that begins there."""
+        return self.hold.end
+
+    @property
+    def momentum(self) -> Vector:
+        """Predicted momentum at its end, shape (3,) [rad/s; world frame]."""
+        return self.states[-1, MOMENTUM]
+
+    def delayed(self, time: float) -> "Plan":
+        """Return a plan that begins at time 0 in control time, put in force at `time` [s]."""
+        return replace(
+            self, hold=self.hold.delayed(time),
+            goal=replace(self.goal, since=self.goal.since + time),
+            arrival=time + self.duration + self.remaining_time,
+        )
 
     @property
     def stops(self) -> bool:

@@ -23,16 +23,16 @@ from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, flipped_sig
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import LeastSquaresProblem, SolverSettings
 from sphere_nmpc.solver.solve import solve
+from sphere_nmpc.strategy.at_rest import (
+    SATURATED,
+    changed_orientation,
+    holdable_goal,
+    is_saturated,
+)
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.paper import SETTLED_COST, PaperStrategy, SignedSolutions
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import (
-    SATURATED,
-    given_up_angle,
-    holdable_goal,
-    is_saturated,
-    speeds_of_rest,
-)
+from sphere_nmpc.strategy.rest import speeds_of_rest
 
 PLAN_KEEPING = SolverSettings(max_iterations=30, decrease_floor=5e-6, initial_damping=0.02)
 """Settings for a receding horizon that carries out its plans.
@@ -66,7 +66,7 @@ class PlanKeepingStrategy(PaperStrategy):
         plan = super().plan(replace(situation, goal=goal))
         if is_saturated(situation.momentum, goal[QUATERNION], self._robot.max_rotor_speed):
             return replace(plan, status=PlanStatus.SATURATED, given_up=SATURATED)
-        return replace(plan, given_up=given_up_angle(angle_error(goal, situation.goal)))
+        return replace(plan, given_up=changed_orientation(angle_error(goal, situation.goal)))
 
     def _rest(self, situation: Situation) -> Vector:
         """Return the speeds of rest at the end of the horizon [rad/s], shape (2,)."""

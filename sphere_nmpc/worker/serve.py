@@ -20,7 +20,7 @@ from sphere_nmpc.worker.contract import Store
 
 _NICENESS = 5
 """Niceness of the process: where processors are scarce, the control loop comes first."""
-_USED = ("sphere_nmpc.strategy.time_optimal.searches", "sphere_nmpc.estimation.estimator")
+_USED = ("sphere_nmpc.strategy.time_optimal.background", "sphere_nmpc.estimation.estimator")
 """Modules of the tasks, loaded before the first of them arrives."""
 
 

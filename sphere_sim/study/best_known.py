@@ -36,7 +36,8 @@ from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.own_folder import cache_folder, own_folder
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
+from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -98,7 +99,7 @@ def best_known_time(
     )
     solver = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing), _TUNING)
     fine = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing / _FINER), _TUNING)
-    earliest: Arrival | None = None
+    earliest: Plan | None = None
     for seed in range(SEARCHES):
         arrival = _searched(situation, solver, seed, round(factor * EFFORT))
         if arrival is not None:
@@ -112,7 +113,7 @@ def best_known_time(
     return BestKnownTimes(earliest.duration, _settling(earliest, situation))
 
 
-def _settling(arrival: Arrival, situation: Situation) -> float:
+def _settling(arrival: Plan, situation: Situation) -> float:
     """Return the time from which the error of a motion stays below `SETTLED_ERROR` [s].
 
     It is sampled from the last knot above that on. Before that knot the states at the knots
@@ -130,15 +131,15 @@ def _settling(arrival: Arrival, situation: Situation) -> float:
     return hold.end if index is None else float(times[index])
 
 
-def _errors(states: Vector, arrival: Arrival, situation: Situation) -> Vector:
+def _errors(states: Vector, arrival: Plan, situation: Situation) -> Vector:
     """Return the distance of each state, (K, 9), from the nearest member of the goals, (K,)."""
     poses = states[:, POSE]
-    return state_errors(poses, situation.orientation.nearest_of(arrival.goal, poses))
+    return state_errors(poses, situation.orientation.nearest_of(arrival.goal.pose, poses))
 
 
 def _searched(
     situation: Situation, solver: ArrivalSolver, seed: int, work: int
-) -> Arrival | None:
+) -> Plan | None:
     """Return the earliest arrival that a search finds.
 
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
@@ -162,7 +163,7 @@ def _searched(
     return ArrivalSearch(solver, situation, seed, raised).improve(work)
 
 
-def _solved(solver: ArrivalSolver, situation: Situation, guess: Arrival) -> Arrival | None:
+def _solved(solver: ArrivalSolver, situation: Situation, guess: Plan) -> Plan | None:
     """Return the fastest arrival near a guess; None where it leaves an error."""
     refined = replace(guess, hold=solver.grid.refined(guess.hold))
     *_, found = solver.solves(situation, refined, iterations=_ITERATIONS)

@@ -1,34 +1,27 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Arrivals: rotor speeds that lead to the goal and end at rest there.
+"""Solver of plans, from time 0 on, that lead to the goal and end at rest there.
 
 A trial ends as near to the goal as possible in a given time, by least squares on a coarse grid of
-knots, from a guess far away. An arrival is a local solution of the minimum-time problem on the
+knots, from a guess far away. A plan is a local solution of the minimum-time problem on the
 knots of its guess, with every limit exact; at its end the rotors hold the momentum.
 """
 
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import (
-    UNDISTURBED,
-    Disturbance,
-    after_slope,
-    is_zero,
-    rest_speeds,
-)
+from sphere_nmpc.model.disturbance import UNDISTURBED, after_slope, is_zero, rest_speeds
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import STANDING, Orientation, moved
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
-    MOMENTUM,
     POSITION,
     QUATERNION,
     Vector,
@@ -47,6 +40,7 @@ from sphere_nmpc.solver.problem import (
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -72,84 +66,6 @@ _STEP_WORK = 6
 """Work of an iteration of a minimum-time problem for each interval."""
 RAISES = (1.0, 5.0, 25.0, 125.0)
 """Factors by which the weight of the error is raised while an error is left."""
-
-
-@dataclass(frozen=True, eq=False)
-class Arrival:
-    """Rotor speeds that lead to the goal.
-
-    Attributes
-    ----------
-    hold : FirstOrderHold
-        Knots from time 0 (now) to the arrival [s].
-    states : ndarray, shape (K, 9)
-        Predicted states at the knots.
-    goal : ndarray, shape (6,)
-        Where the goal is at time 0, or the member of the set at which it ends; a trial ends near
-        the sign of its quaternion.
-    error : float
-        Predicted terminal error, inf where it is not finite: the norm in R^6 for a trial, the sum
-        of the absolute residuals for a minimum-time problem.
-    iterations : int
-        Solver iterations used.
-    kkt_residual : float
-        First-order optimality.
-    work : int
-        Cost of the solve in microseconds or so, the same on every machine.
-    disturbance : Disturbance
-        Slope and imbalance that it was planned with.
-    turns : int
-        Whole turns of steady rolling that were left out of the problem.
-    goal_rate : ndarray, shape (5,)
-        Rate of change of the goal.
-    orientation : Orientation
-        What was demanded of the orientation at the end.
-    to_go : float
-        Time from there to the final goal [s], where the one of the plan is on the way to it.
-    clearance : float
-        Clearance that the motion is certified to keep [m]; nan where it is not known.
-    """
-
-    hold: FirstOrderHold
-    states: Vector
-    goal: Vector
-    error: float
-    iterations: int
-    kkt_residual: float
-    work: int
-    disturbance: Disturbance
-    turns: int = 0
-    goal_rate: Vector = field(default_factory=lambda: STANDING)
-    orientation: Orientation = Orientation.FULL
-    to_go: float = 0.0
-    clearance: float = math.nan
-
-    @property
-    def duration(self) -> float:
-        """Time to the arrival [s]."""
-        return self.hold.end
-
-    def goal_after(self, elapsed: float) -> Vector:
-        """Return where the goal is after a time [s] from time 0 on, shape (6,)."""
-        return moved(self.goal, self.goal_rate, elapsed)
-
-    def followed(self, situation: Situation, hold: FirstOrderHold) -> "Arrival":
-        """Return what follows from what remains of the hold, as it is, in a situation."""
-        states = roll_out(
-            situation.state, hold.speeds, np.diff(hold.times), situation.constants.as_array(),
-            disturbance=situation.disturbance,
-        )
-        goal = self.orientation.nearest(situation.goal, states[-1])
-        error = state_error(states[-1], nearer_sign(goal, states[-1]))
-        return replace(
-            self, hold=hold, states=states, goal=goal, error=error,
-            disturbance=situation.disturbance,
-        )
-
-    @property
-    def momentum(self) -> Vector:
-        """Predicted momentum at the arrival, shape (3,) [rad/s; world frame]."""
-        return self.states[-1, MOMENTUM]
 
 
 class ArrivalSolver:
@@ -179,16 +95,16 @@ class ArrivalSolver:
         )
 
     def trial(
-        self, situation: Situation, goal: Vector, guess: FirstOrderHold, aware: bool = False
-    ) -> Arrival:
+        self, situation: Situation, goal: Goal, guess: FirstOrderHold, aware: bool = False
+    ) -> Plan:
         """Return the motion of the duration of a guess that ends nearest to the goal.
 
         Parameters
         ----------
         situation : Situation
             State of the robot and speeds of its rotors at the start.
-        goal : ndarray, shape (6,)
-            Where the goal is at the start, with the quaternion sign that is aimed at.
+        goal : Goal
+            Where the goal is at time 0, the start, with the quaternion sign that is aimed at.
         guess : FirstOrderHold
             Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
             momentum along its motion is added, so that the same motion results but for a turn
@@ -200,24 +116,23 @@ class ArrivalSolver:
         if not aware and not is_zero(situation.momentum, situation.disturbance):
             knots = knots + self._compensation(situation, durations, knots)
         momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
-        rest = speeds_of_rest(momentum, goal[QUATERNION], self._max_speed)
-        there = situation.goal_after(guess.end, goal)
+        rest = speeds_of_rest(momentum, goal.pose[QUATERNION], self._max_speed)
+        orientation = _demanded(situation, goal)
         problem = self._problem(
-            LeastSquaresProblem, situation, there, durations, self.grid.spacing,
-            input_weight=_REGULARISATION,
+            LeastSquaresProblem, situation, goal.at(guess.end), orientation, durations,
+            self.grid.spacing, input_weight=_REGULARISATION,
         )
         problem.lower[-1] = problem.upper[-1] = rest
         solution = solve(problem, knots, self._trial)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
         error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
-        goal = self._orientation(situation).nearest(goal, solution.states[-1])
-        return _arrival(situation, problem, solution, goal, error, work)
+        return _plan(goal, orientation, problem, solution, error, work)
 
     def solve(
-        self, situation: Situation, goal: Vector, guess: FirstOrderHold, factor: float = 1.0,
+        self, situation: Situation, goal: Goal, guess: FirstOrderHold, factor: float = 1.0,
         budget: float = math.inf, kept: bool = False, coarse: bool = False,
         iterations: int | None = None,
-    ) -> Arrival:
+    ) -> Plan:
         """Return the fastest motion near a guess that ends at the goal.
 
         Parameters
@@ -241,7 +156,8 @@ class ArrivalSolver:
         tuning = self.settings
         durations = np.diff(guess.times)
         steady, turns, rolling = 0, 0, SteadyRolling.of(situation.constants, self._max_speed)
-        if tuning.is_small(situation):
+        orientation = _demanded(situation, goal)
+        if situation.has_small_momentum:
             steady, turns = steady_interval(durations, rolling)
         if turns:
             # It bends the way to the near goal by less than what is corrected on it.
@@ -250,15 +166,15 @@ class ArrivalSolver:
             )
         max_step = (2.0 if coarse else 1.0) * self.grid.fine
         # A goal that moves: its place at the arrival, its orientation at the end of the guess.
-        there = np.concatenate((goal[POSITION], situation.goal_after(guess.end, goal)[QUATERNION]))
+        there = np.concatenate((goal.pose[POSITION], goal.at(guess.end)[QUATERNION]))
         problem = self._problem(
-            MinimumTimeProblem, situation, there, durations, max_step,
-            goal_velocity=situation.goal_rate[POSITION],
+            MinimumTimeProblem, situation, there, orientation, durations, max_step,
+            goal_velocity=goal.rate[POSITION],
             error_weight=factor * tuning.error_weight * self.grid.unit,
         )
         if is_zero(situation.momentum, situation.disturbance):
             problem.lower[-1] = problem.upper[-1] = 0.0
-        elif tuning.is_out_of_balance(situation) and not situation.uncertainty > 0.0:
+        elif situation.is_out_of_balance and not situation.uncertainty > 0.0:
             # Where poses are noisy the estimate of this component changes from sample to sample
             # by more than a plan can follow, and it is left to the tilt at rest.
             body_z = rotation.matrix(there[QUATERNION])[:, 2]
@@ -279,14 +195,13 @@ class ArrivalSolver:
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
         work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
-        goal = self._orientation(situation).nearest(goal, solution.states[-1])
-        return _arrival(situation, problem, solution, goal, error, work, turns)
+        return _plan(goal, orientation, problem, solution, error, work, turns)
 
     def solves(
-        self, situation: Situation, known: Arrival, deadline: float = math.inf,
+        self, situation: Situation, known: Plan, deadline: float = math.inf,
         iterations: int | None = None,
-    ) -> Iterator[Arrival]:
-        """Yield solutions from a known arrival on, the last of which has no error if one has none.
+    ) -> Iterator[Plan]:
+        """Yield solutions from a known plan on, the last of which has no error if one has none.
 
         The error weighs more from one to the next. `deadline` is a steady clock reading [s],
         `iterations` another cap than that of the settings.
@@ -332,8 +247,8 @@ class ArrivalSolver:
         problem.steady_axis = weight * corner / np.linalg.norm(corner)
 
     def _problem(
-        self, kind: type[_Kind], situation: Situation, goal: Vector, durations: Vector,
-        max_step: float, **others: Any,
+        self, kind: type[_Kind], situation: Situation, goal: Vector, orientation: Orientation,
+        durations: Vector, max_step: float, **others: Any,
     ) -> _Kind:
         """Return a problem with the bounds of the drives, and with other fields."""
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
@@ -342,26 +257,39 @@ class ArrivalSolver:
             durations=durations, constants=situation.constants.as_array(), lower=-upper,
             upper=upper, input_scale=self._max_speed, max_acceleration=self._acceleration,
             max_step=max_step, torques=situation.disturbance.as_array(),
-            turn_weights=self._orientation(situation).weights, **others,
+            turn_weights=orientation.weights, **others,
         )
 
-    def _orientation(self, situation: Situation) -> Orientation:
-        """Return what is demanded of the orientation: with momentum all, to rest there."""
-        small = self.settings.is_small(situation)
-        return situation.orientation if small else Orientation.FULL
+
+def rolled_out(plan: Plan, situation: Situation, hold: FirstOrderHold) -> Plan:
+    """Return what follows from a hold, what remains of a plan as it is, in a situation."""
+    states = roll_out(
+        situation.state, hold.speeds, np.diff(hold.times), situation.constants.as_array(),
+        disturbance=situation.disturbance,
+    )
+    pose = plan.goal.orientation.nearest(situation.goal, states[-1])
+    error = state_error(states[-1], nearer_sign(pose, states[-1]))
+    goal = replace(plan.goal, pose=pose)
+    return replace(plan, hold=hold, states=states, goal=goal, error=error, turns=0)
+
+
+def _demanded(situation: Situation, goal: Goal) -> Orientation:
+    """Return what is demanded of the orientation: with momentum all, to rest there."""
+    return goal.orientation if situation.has_small_momentum else Orientation.FULL
 
 
 def _is_finite(solution: Solution) -> bool:
     return solution.status is not SolveStatus.NOT_FINITE
 
 
-def _arrival(
-    situation: Situation, problem: Problem, solution: Solution, goal: Vector,
-    error: float, work: int, turns: int = 0,
-) -> Arrival:
+def _plan(
+    goal: Goal, demanded: Orientation, problem: Problem, solution: Solution, error: float,
+    work: int, turns: int = 0,
+) -> Plan:
     times = np.concatenate(([0.0], np.cumsum(solution.stretch * problem.durations)))
-    return Arrival(
-        FirstOrderHold(times, solution.inputs), solution.states, goal, error,
-        solution.iterations, solution.kkt_residual, work, situation.disturbance, turns,
-        situation.goal_rate, situation.orientation,
+    pose = demanded.nearest(goal.pose, solution.states[-1])
+    return Plan(
+        PlanStatus.SOLVED, FirstOrderHold(times, solution.inputs), solution.states,
+        goal if pose is goal.pose else replace(goal, pose=pose), error, turns=turns, work=work,
+        iterations=solution.iterations, kkt_residual=solution.kkt_residual,
     )

@@ -19,12 +19,13 @@ import numpy as np
 
 from sphere_nmpc.floor.route import Route, StraightRoute, in_sight, route_to
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import STANDING, Orientation
+from sphere_nmpc.model.goal import STANDING, Goal, Orientation
 from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_momentum
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.lines import gone_back, line_hold
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -106,7 +107,7 @@ def route_of(situation: Situation) -> Route | StraightRoute:
     return route_to(situation.floor, situation.goal[POSITION], situation.least_distance)
 
 
-def local_goal(situation: Situation, solver: ArrivalSolver, fruitless: int) -> Guidance:
+def local_goal(situation: Situation, solver: ArrivalSolver, failed: int) -> Guidance:
     """Return what to aim at in a situation: the goal if it is in sight, else a place on the route.
 
     Parameters
@@ -115,23 +116,23 @@ def local_goal(situation: Situation, solver: ArrivalSolver, fruitless: int) -> G
         State at the start, and the final goal.
     solver : ArrivalSolver
         Solver with the limits of the drives.
-    fruitless : int
+    failed : int
         Searches before that have found nothing: after each the local goal is nearer.
     """
     place, goal, floor = situation.state[POSITION], situation.goal[POSITION], situation.floor
-    steady, near = solver.settings.is_small(situation), solver.near_distance
+    steady, near = situation.has_small_momentum, solver.near_distance
     leg, distance = _LONGEST_LEG if steady else near, float(np.linalg.norm(goal - place))
     # Before the routes are computed, which takes as long as a search on a large floor.
-    sees_goal = fruitless % 2 == 0 and floor.least_distance(place) > 0.0 and bool(
+    sees_goal = failed % 2 == 0 and floor.least_distance(place) > 0.0 and bool(
         in_sight(floor, place, goal[None, :], needed_distance(situation, Margin.FOUND))[0]
     )
-    if sees_goal and distance <= (leg if fruitless and not steady else _LAST_LEG * leg):
+    if sees_goal and distance <= (leg if failed and not steady else _LAST_LEG * leg):
         narrow = floor.least_distance(goal) - situation.least_distance < _NARROW * situation.radius
         aims = [] if narrow else [Aim(situation, is_final=True)]
-        return Guidance(aims, sees_goal, by_lines=narrow or fruitless > 0)
+        return Guidance(aims, sees_goal, by_lines=narrow or failed > 0)
     if sees_goal:
         aims = [_aim_at(situation, place + (leg / distance) * (goal - place))]
-        return Guidance(aims, by_lines=fruitless > 0)
+        return Guidance(aims, by_lines=failed > 0)
     route = route_of(situation)
     path = route.path(place)
     if len(path) == 0:
@@ -139,9 +140,9 @@ def local_goal(situation: Situation, solver: ArrivalSolver, fruitless: int) -> G
             f"the goal: no way with {situation.least_distance:.3g} m (radius and clearance) on "
             "either side leads there from the place of the sphere"
         ))
-    chosen = _place_on(path, situation, fruitless)
+    chosen = _place_on(path, situation, failed)
     detour = 0.0
-    if not fruitless:
+    if not failed:
         length = route.length(place) - route.length(chosen)
         detour = max(1e-3, length - float(np.linalg.norm(chosen - place)))
     aims = [_aim_at(situation, chosen, detour)]
@@ -156,12 +157,12 @@ def _aim_at(situation: Situation, place: Vector, detour: float = 0.0) -> Aim:
     return Aim(aimed, is_final=False, detour=detour)
 
 
-def _place_on(path: Vector, situation: Situation, fruitless: int) -> Vector:
+def _place_on(path: Vector, situation: Situation, failed: int) -> Vector:
     """Return the place on the path of a route that is aimed at, shape (2,) [m]."""
-    place, radius, near = situation.state[POSITION], situation.radius, 0.5**fruitless
+    place, radius, near = situation.state[POSITION], situation.radius, 0.5**failed
     reach = max(_NEAREST, _FARTHEST * near) * radius
     straight = float(np.linalg.norm(situation.goal[POSITION] - place))
-    if fruitless and straight < reach:
+    if failed and straight < reach:
         reach = max(_NEAREST * radius, near * straight)
     away: Vector = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES, dtype=np.float64)
     targets = along(path, away)
@@ -171,7 +172,7 @@ def _place_on(path: Vector, situation: Situation, fruitless: int) -> Vector:
         if seen.size == 0 or away[seen[-1]] < _WORTH_IT * farthest:
             break
         farthest, chosen = max(farthest, away[seen[-1]]), away[seen[-1]]
-    return along(path, np.array([chosen if fruitless else chosen + _BEYOND * radius]))[0]
+    return along(path, np.array([chosen if failed else chosen + _BEYOND * radius]))[0]
 
 
 def along(path: Vector, away: Vector) -> Vector:
@@ -203,7 +204,7 @@ def leads_on(situation: Situation, rested: Vector, place: Vector) -> bool:
     return route.length(place) <= route.length(rested) - _LEAST_GAIN * situation.radius
 
 
-def line_on(situation: Situation, solver: ArrivalSolver, rested: Vector) -> Arrival | None:
+def line_on(situation: Situation, solver: ArrivalSolver, rested: Vector) -> Plan | None:
     """Return the fastest of the straight lines that lead on to the goal, from rest to rest.
 
     It is there where a search finds nothing, as long as it is clear of what is occupied: the
@@ -213,7 +214,7 @@ def line_on(situation: Situation, solver: ArrivalSolver, rested: Vector) -> Arri
     targets = along(route.path(place), situation.radius * np.array(_LENGTHS))
     speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
 
-    def cost(line: Arrival) -> float:
+    def cost(line: Plan) -> float:
         return line.duration + _REST_COSTS * route.length(line.states[-1, POSITION]) / speed
 
     lines = _lines(situation, solver, targets)
@@ -235,7 +236,7 @@ def lines_to_goal(
         free = situation.floor.least_distance(place) - situation.least_distance
         return min(free, _OPEN * situation.radius)
 
-    def gain(line: Arrival) -> float:
+    def gain(line: Plan) -> float:
         return room(line.states[-1, POSITION]) / (line.duration + solver.grid.unit)
 
     for _ in range(_LINES):
@@ -257,7 +258,7 @@ def lines_to_goal(
 
 def _lines(
     situation: Situation, solver: ArrivalSolver, targets: Vector
-) -> Iterator[Arrival]:
+) -> Iterator[Plan]:
     """Yield the motions straight to targets, shape (P, 2) [m], with any orientation, if clear."""
     place, needed = situation.state[POSITION], needed_distance(situation, Margin.STRAIGHT)
     constants = situation.constants
@@ -268,10 +269,8 @@ def _lines(
         states = roll_out(
             situation.state, hold.speeds, np.diff(hold.times), constants.as_array()
         )
-        yield Arrival(
-            hold, states, states[-1, POSE].copy(), 0.0, 0, 0.0, len(states),
-            situation.disturbance, orientation=Orientation.ANY,
-        )
+        goal = Goal(states[-1, POSE].copy(), Orientation.ANY)
+        yield Plan(PlanStatus.SOLVED, hold, states, goal, error=0.0)
 
 
 def _away(situation: Situation, place: Vector) -> Vector:
@@ -291,11 +290,11 @@ def joined(holds: list[FirstOrderHold]) -> FirstOrderHold:
 
 
 def with_lines(
-    situation: Situation, arrival: Arrival, lines: FirstOrderHold
-) -> Arrival | None:
-    """Return the arrival where lines to the goal begin together with them; None if not clear."""
-    aimed = replace(arrival, goal=situation.goal, orientation=Orientation.FULL)
-    found = aimed.followed(situation, joined([arrival.hold, lines]))
+    situation: Situation, plan: Plan, lines: FirstOrderHold
+) -> Plan | None:
+    """Return the plan to where lines to the goal begin together with them; None if not clear."""
+    goal = replace(plan.goal, orientation=Orientation.FULL)
+    found = rolled_out(replace(plan, goal=goal), situation, joined([plan.hold, lines]))
     return found if is_clear(situation, found.hold, Margin.KEPT) else None
 
 

@@ -20,11 +20,13 @@ from itertools import islice
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival, ArrivalSolver
+from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
     Guess,
     meeting_guesses,
@@ -68,7 +70,7 @@ class ArrivalSearch:
         State at the start, and the goal.
     seed : int
         Seed of the initial guesses.
-    known : Arrival, optional
+    known : Plan, optional
         An arrival from this situation, before which another is searched for.
     detour : float, optional
         Length by which the way to the goal is longer than the straight line [m].
@@ -76,7 +78,7 @@ class ArrivalSearch:
 
     def __init__(
         self, solver: ArrivalSolver, situation: Situation, seed: int,
-        known: Arrival | None = None, detour: float = 0.0,
+        known: Plan | None = None, detour: float = 0.0,
     ) -> None:
         settings, grid, robot = solver.settings, solver.grid, solver.robot
         self._solver, self._settings, self._grid = solver, settings, grid
@@ -88,16 +90,16 @@ class ArrivalSearch:
         self._turn: Vector = np.zeros(2)
         """Displacement of a turn [m]."""
         self._near = situation
-        if settings.is_small(situation) and (not detour or (known is not None and known.turns)):
+        if situation.has_small_momentum and (not detour or (known is not None and known.turns)):
             self._aim_near(known)
         self._least = self._rolling_time(self._near) + detour / self._rolling.speed
         self._least += robot.ramp_time
         self._reached = _REACHED
-        if settings.is_small(situation):  # otherwise the sphere leaves the goal by itself
+        if situation.has_small_momentum:  # otherwise the sphere leaves the goal by itself
             error = state_error(situation.state, situation.goal)
             self._reached = min(_REACHED, _REACHED_SHARE * error)
         self._window, self._later = settings.window * grid.unit, 0.0
-        self.best: Arrival | None = known
+        self.best: Plan | None = known
         """The earliest arrival found so far."""
         self.work = 0
         """Work so far, in microseconds or so."""
@@ -105,7 +107,7 @@ class ArrivalSearch:
         self._collided = False
         """Whether a trial of the last round did not keep clear of what is on the floor."""
 
-    def improve(self, work: int, deadline: float = np.inf) -> Arrival | None:
+    def improve(self, work: int, deadline: float = np.inf) -> Plan | None:
         """Search for an earlier arrival.
 
         Parameters
@@ -117,7 +119,7 @@ class ArrivalSearch:
 
         Returns
         -------
-        Arrival or None
+        Plan or None
             The earliest arrival so far.
         """
         end, self._deadline = self.work + work, deadline
@@ -127,7 +129,7 @@ class ArrivalSearch:
             next(steps)
         return self.best
 
-    def improve_once(self, deadline: float = np.inf) -> Arrival | None:
+    def improve_once(self, deadline: float = np.inf) -> Plan | None:
         """Search for one round, or until the deadline; see `improve`.
 
         Where guesses collide it is a few rounds, or until one finds something.
@@ -151,17 +153,17 @@ class ArrivalSearch:
             yield from self._round(_FIRST_SHARE if self.best is None else 1.0)
 
     def _round(self, share: float) -> Iterator[None]:
-        settings, trials = self._settings, list[Arrival]()
+        settings, trials = self._settings, list[Plan]()
         guesses = self._guesses(share)
         yield
         for guess in guesses:
-            hold = guess.hold
-            trials.append(self._counted(self._solver.trial(self._near, guess.goal, hold)))
+            goal = self._near.aim(guess.goal)
+            trials.append(self._counted(self._solver.trial(self._near, goal, guess.hold)))
             yield
         clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
         self._collided = len(clear) < len(trials)
         survivors = islice(_different(clear, self._promise), settings.polished)
-        longest, polished = np.inf, list[Arrival]()
+        longest, polished = np.inf, list[Plan]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
         for arrival in survivors:
@@ -180,23 +182,24 @@ class ArrivalSearch:
         short = (bool(polished) and not reached) or self.best is None
         self._later = _LATER * self._later + self._grid.spacing if short else 0.0
 
-    def _promise(self, arrival: Arrival) -> float:
+    def _promise(self, arrival: Plan) -> float:
         """Return the duration with what its error is worth [s]."""
         return arrival.duration + self._settings.error_weight * self._grid.unit * arrival.error
 
-    def _with_more_time(self, arrival: Arrival) -> Arrival:
+    def _with_more_time(self, arrival: Plan) -> Plan:
         """Return a trial from another one, in the time that the error of that takes longer."""
         hold = arrival.hold
         factor = 1.0 + _TIME_OF_ERROR * self._grid.unit * arrival.error / arrival.duration
         slower = FirstOrderHold(factor * hold.times, hold.speeds / factor)
-        return self._counted(self._solver.trial(self._near, arrival.goal, slower, aware=True))
+        goal = arrival.goal
+        return self._counted(self._solver.trial(self._near, goal, slower, aware=True))
 
-    def _polished(self, situation: Situation, goal: Vector, guess: FirstOrderHold) -> Arrival:
+    def _polished(self, situation: Situation, goal: Goal, guess: FirstOrderHold) -> Plan:
         return self._counted(self._solver.solve(
             situation, goal, guess, budget=self._deadline - time.perf_counter(), coarse=True
         ))
 
-    def _finished(self, arrival: Arrival, added: int = 0) -> Iterator[None]:
+    def _finished(self, arrival: Plan, added: int = 0) -> Iterator[None]:
         """Solve a polished arrival to the end, at the goal, and keep it.
 
         `added` are the whole turns that it has; near the goal none.
@@ -207,8 +210,8 @@ class ArrivalSearch:
                 guess = self._lengthened(arrival, longer)
             else:
                 guess = with_turns(arrival.hold, longer, self._drives.limit)
-            goal = self._goal_after(arrival.goal, turns)
-            arrival = self._polished(self._situation, goal, guess)
+            goal = self._goal_after(arrival.goal.pose, turns)
+            arrival = self._polished(self._situation, self._situation.aim(goal), guess)
             yield
         arrival = replace(arrival, hold=self._grid.refined(arrival.hold))
         for found in self._solver.solves(self._situation, arrival, self._deadline):
@@ -218,11 +221,11 @@ class ArrivalSearch:
                 self.best = found
             yield
 
-    def _is_clear(self, arrival: Arrival) -> bool:
+    def _is_clear(self, arrival: Plan) -> bool:
         """Return whether a motion to the goal keeps clear of what is on the floor."""
         return is_clear(self._situation, arrival.hold, Margin.FOUND)
 
-    def _is_trial_clear(self, arrival: Arrival) -> bool:
+    def _is_trial_clear(self, arrival: Plan) -> bool:
         """Return whether a motion to the near goal keeps clear with the turns that it lacks."""
         if self._turns:
             longer = self._turns * self._rolling.turn_time
@@ -230,7 +233,7 @@ class ArrivalSearch:
             arrival = replace(arrival, hold=hold)
         return self._is_clear(arrival)
 
-    def _counted(self, arrival: Arrival) -> Arrival:
+    def _counted(self, arrival: Plan) -> Plan:
         self.work += arrival.work
         return arrival
 
@@ -256,12 +259,12 @@ class ArrivalSearch:
             found.append(Guess(self._grid.coarse(hold), goal))
         return found
 
-    def _lengthened(self, arrival: Arrival, longer: float) -> FirstOrderHold:
+    def _lengthened(self, arrival: Plan, longer: float) -> FirstOrderHold:
         """Return the hold of an arrival with whole turns, rolling steadily for longer [s]."""
         interval = int(np.argmax(np.diff(arrival.hold.times)))
         return without_turns(arrival.hold, interval, -longer)
 
-    def _aim_near(self, known: Arrival | None) -> None:
+    def _aim_near(self, known: Plan | None) -> None:
         """Leave whole turns of a distant goal out of the search."""
         situation, rolling = self._situation, self._rolling
         there = situation.goal_after(self._rolling_time(situation))
@@ -308,8 +311,8 @@ class ArrivalSearch:
 
 
 def _different(
-    arrivals: list[Arrival], promise: Callable[[Arrival], float]
-) -> Iterator[Arrival]:
+    arrivals: list[Plan], promise: Callable[[Plan], float]
+) -> Iterator[Plan]:
     """Yield arrivals in the order of their promise, of motions that are alike the first alone."""
     signatures = list[Vector]()
     for arrival in sorted(arrivals, key=promise):

@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning of the strategy `time_optimal`."""
 
-import math
 from dataclasses import dataclass
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.rest import SMALL_MOMENTUM, is_small
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _TABLE_1 = RobotParameters()
@@ -21,9 +18,6 @@ class TimeOptimalSettings:
     results in ``docs/results.md`` were obtained with. Errors are norms in R^6 (metres and
     quaternion components together), as in the metrics of a study.
     """
-
-    small_momentum: float = SMALL_MOMENTUM
-    """Momentum [rad/s] that is small."""
 
     # Knots of a plan
 
@@ -78,7 +72,7 @@ class TimeOptimalSettings:
     """Largest factor [-] on the planning effort, and on the longest wall time, of a search from
     rest: doubled after each search without an arrival. Such a search has to end before a worker
     that does not answer is replaced."""
-    fruitless_searches: int = 10
+    failed_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""
 
@@ -134,18 +128,9 @@ class TimeOptimalSettings:
         ramps = 2.0 * max(0.0, robot.ramp_time - _TABLE_1.ramp_time)
         return self.near_radii * robot.shell_radius + ramps * rolling.speed
 
-    def is_small(self, situation: Situation) -> bool:
-        """Return whether the momentum is small, together with what is added in the next second."""
-        return is_small(situation, self.small_momentum)
-
-    def is_out_of_balance(self, situation: Situation) -> bool:
-        """Return whether plans end without momentum along the body's z axis by an imbalance."""
-        imbalance = situation.disturbance.imbalance
-        return math.sqrt(imbalance.dot(imbalance)) >= self.small_momentum
-
-    def growth(self, fruitless: int) -> float:
+    def growth(self, failed: int) -> float:
         """Return the factor [-] on the effort after that many searches without an arrival."""
-        return min(2.0 ** min(fruitless, 60), self.largest_growth)
+        return min(2.0 ** min(failed, 60), self.largest_growth)
 
     def dead_band(self, noise: float, uncertainty: float) -> float:
         """Return the error [-] within which the sphere rests at the goal.

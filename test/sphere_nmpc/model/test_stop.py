@@ -12,8 +12,8 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, without_momentum
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import draw_scenarios
 

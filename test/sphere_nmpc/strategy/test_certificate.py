@@ -34,8 +34,7 @@ from sphere_nmpc.strategy.clearance import (
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival
-from sphere_nmpc.strategy.time_optimal.searches import SearchTask
+from sphere_nmpc.strategy.time_optimal.background import SearchTask
 
 SETTINGS = ControllerSettings(planning_effort=20_000)
 LARGER = RobotParameters(shell_radius=1.15 * RADIUS)
@@ -243,8 +242,8 @@ def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
     assert ((falls == 0.0) | (falls > 0.1 * RADIUS - 2e-3)).all()
     # Nothing does from beside the goal.
     task = next(task for task in tasks if task.rested is not None)
-    assert isinstance(task(), Arrival)
-    assert replace(task, rested=goal[POSITION] + 0.05)() is None
+    assert isinstance(task(), Plan)
+    assert replace(task, rested=goal[POSITION] + 0.05)() == ""
 
 
 class Given:

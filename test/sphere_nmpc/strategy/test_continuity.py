@@ -13,11 +13,11 @@ from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import NO_MOMENTUM, QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.at_rest import AtRest
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
+from sphere_nmpc.strategy.time_optimal.background import later, solver_for
 from sphere_nmpc.strategy.time_optimal.guide import local_goal
-from sphere_nmpc.strategy.time_optimal.searches import later, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.scenarios import draw_scenarios
@@ -87,7 +87,7 @@ def test_sphere_rests_in_the_dead_band_as_without_momentum(cause: Cause) -> None
 def test_goal_is_aimed_at_as_without_momentum(cause: Cause) -> None:
     far = make_state(START[:2] + 20.0, GOAL[QUATERNION])
     now = situation(far, cause)
-    assert HeldGoal(ROBOT.max_rotor_speed, TUNING).goal(now, None, holding=False) is far
+    assert AtRest(SETTINGS, ROBOT, TUNING).goal(now, None, holding=False) is far
     (aim,) = local_goal(now, solver_for(ROBOT, TUNING), 0).aims
     assert aim.is_final and aim.situation is now
 

@@ -20,8 +20,8 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     SteadyRolling,
@@ -93,7 +93,7 @@ def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(di
     step = solver_for(ROBOT, TUNING).grid.fine
     end = roll_out(beginning.state, inputs, durations, constants.as_array(), step)[-1]
     # The direction, which is corrected on the way, is within the terminal error.
-    assert state_error(end, found.goal) < distance * TUNING.arrival_error
+    assert state_error(end, found.goal.pose) < distance * TUNING.arrival_error
     assert found.duration < distance / ROLLING.speed + 2.5
 
 

@@ -37,8 +37,8 @@ from sphere_nmpc.strategy.clearance import (
 )
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus, Unreachable
+from sphere_nmpc.strategy.time_optimal.background import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.lines import line_hold, speeds_along
-from sphere_nmpc.strategy.time_optimal.searches import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings

@@ -13,15 +13,14 @@ from sphere_nmpc.model.disturbance import (
 )
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import NO_MOMENTUM, POSITION, QUATERNION, Vector, make_state
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.at_rest import AtRest, holdable_goal
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.rest import holdable_goal
-from sphere_nmpc.strategy.time_optimal.goals import HeldGoal
+from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.guide import local_goal, time_to_go
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 ROBOT = RobotParameters()
-LIMIT = ROBOT.max_rotor_speed
 TUNING = TimeOptimalSettings()
 UPRIGHT = make_state(np.array([1.0, -2.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
@@ -44,16 +43,16 @@ def out_of_balance(momentum: float, slope: Vector = UNDISTURBED.slope) -> Situat
 
 
 @pytest.fixture
-def held() -> HeldGoal:
-    return HeldGoal(LIMIT, TUNING)
+def held() -> AtRest:
+    return AtRest(ControllerSettings(), ROBOT, TUNING)
 
 
-def test_goal_is_kept_without_momentum_and_where_it_can_be_held(held: HeldGoal) -> None:
+def test_goal_is_kept_without_momentum_and_where_it_can_be_held(held: AtRest) -> None:
     still, pushed = (situation(UPRIGHT, h * np.array([30.0, -20.0, 0.0])) for h in (0.0, 1.0))
     for now in (still, pushed, out_of_balance(50.0)):
         for holding in (False, True):
             assert held.goal(now, None, holding) is UPRIGHT
-            assert held.given_up == ""
+            assert held.limitation == ""
 
 
 @pytest.mark.parametrize(
@@ -69,16 +68,16 @@ def test_goal_is_kept_without_momentum_and_where_it_can_be_held(held: HeldGoal) 
     ],
     ids=["not yet", "on the way", "by itself", "balanced", "steep"],
 )
-def test_rotors_are_not_unloaded(held: HeldGoal, now: Situation, holding: bool) -> None:
+def test_rotors_are_not_unloaded(held: AtRest, now: Situation, holding: bool) -> None:
     assert held.goal(now, None, holding) is UPRIGHT
-    assert held.given_up == ""
+    assert held.limitation == ""
 
 
-def test_rotors_are_unloaded_at_the_orientation_that_does_so_fastest(held: HeldGoal) -> None:
+def test_rotors_are_unloaded_at_the_orientation_that_does_so_fastest(held: AtRest) -> None:
     now = out_of_balance(92.0)
     assert now.disturbance.at_rest(UPRIGHT[QUATERNION]) @ LOADING > 0.0
     aimed = held.goal(now, None, holding=True)
-    assert "unloads" in held.given_up
+    assert "unloads" in held.limitation
     np.testing.assert_array_equal(aimed[:2], UPRIGHT[:2])
     # No torque is larger than that of a horizontal offset.
     torque = now.disturbance.at_rest(aimed[QUATERNION])

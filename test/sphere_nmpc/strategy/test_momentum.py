@@ -19,9 +19,9 @@ from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, QUATERNION, Vector, make_state, state_error
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
+from sphere_nmpc.strategy.at_rest import SATURATED, holdable_goal
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_nmpc.strategy.rest import SATURATED, holdable_goal
 from sphere_sim.world.disturbances import DisturbanceSettings
 
 LIMIT = ROBOT.max_rotor_speed

@@ -28,11 +28,11 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.arrival import Arrival
+from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.time_optimal.background import solver_for
+from sphere_nmpc.strategy.time_optimal.machine import Following
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_nmpc.strategy.time_optimal.states import Following
 
 ROBOT = RobotParameters()
 TUNING = TimeOptimalSettings()
@@ -58,7 +58,7 @@ def situation(momentum: Vector, disturbance: Disturbance = UNDISTURBED) -> Situa
     )
 
 
-def arrival_at(goal_of: Situation) -> Arrival:
+def arrival_at(goal_of: Situation) -> Plan:
     """Return the plan of a search."""
     found = ArrivalSearch(SOLVER, goal_of, 1).improve(EFFORT)
     assert found is not None

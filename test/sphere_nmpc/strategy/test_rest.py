@@ -16,12 +16,8 @@ from sphere_nmpc.model.disturbance import (
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
-from sphere_nmpc.strategy.rest import (
-    MOMENTUM_TOLERANCE,
-    TORQUE_TOLERANCE,
-    hold_momentum,
-    holdable_goal,
-)
+from sphere_nmpc.strategy.at_rest import MOMENTUM_TOLERANCE, TORQUE_TOLERANCE, holdable_goal
+from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Searches: by a worker as good as in line but for their time, and after fruitless ones."""
+"""Searches: by a worker as good as in line but for their time, and after ones that have failed."""
 
 from collections import deque
 from dataclasses import replace
@@ -19,7 +19,7 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal import strategy
-from sphere_nmpc.strategy.time_optimal.searches import SearchTask
+from sphere_nmpc.strategy.time_optimal.background import SearchTask
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_nmpc.worker.contract import Reply

@@ -18,8 +18,8 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
-from sphere_nmpc.strategy.time_optimal.searches import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop

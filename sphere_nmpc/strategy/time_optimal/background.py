@@ -1,0 +1,355 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Search for plans, in line or by a worker while the control loop follows a plan or rests.
+
+A search has all that it depends on, so that it can be done in any process. What it finds is a plan
+that begins in the state predicted for a time somewhat ahead: until then the loop goes on as
+before. In line nothing is ahead.
+"""
+
+import itertools
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.guide import (
+    detour_to_goal,
+    leads_on,
+    line_on,
+    lines_to_goal,
+    local_goal,
+    time_to_go,
+    with_lines,
+)
+from sphere_nmpc.strategy.time_optimal.knots import Grid
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.worker.contract import Reply, Store, Worker
+from sphere_nmpc.worker.in_line import InLine
+
+_GROWTH = 2.0
+"""Factor on the time ahead after a search that was not complete in time."""
+_SAME_TIME = 1e-6
+"""Rounding of control times [s]."""
+_LEAST_TICK = 0.02
+"""Delay [s] by which a plan may begin later at the highest control rates, too."""
+
+
+@lru_cache(maxsize=8)
+def solver_for(robot: RobotParameters, tuning: TimeOptimalSettings) -> ArrivalSolver:
+    """Return the solver for a robot, whose limits may be less than those of its drives."""
+    return ArrivalSolver(robot, Grid.of(robot, tuning.spacing), tuning)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchTask:
+    """Search for a plan that begins in a given situation, called in a worker or in line.
+
+    Attributes
+    ----------
+    robot : RobotParameters
+        Limits of the drives.
+    tuning : TimeOptimalSettings
+        Tuning of the search.
+    situation : Situation
+        Situation in which the plan begins.
+    seed : int
+        Seed of the initial guesses, and number of the motion that is found.
+    effort : int
+        Planning effort of a new plan.
+    longest : float
+        Wall time at which the search stops [s].
+    from_rest : bool
+        Whether the sphere rests until the plan begins, which may then be at any time.
+    known : FirstOrderHold or None
+        Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
+        arrival is searched for. None for a new plan.
+    failed : int
+        Searches before it that have found nothing; a goal on the way around obstacles is then
+        nearer.
+    rested : ndarray of shape (2,), or None
+        Where the sphere has last rested [m], from which a part of the way has to lead on; None
+        where it is now.
+    """
+
+    robot: RobotParameters
+    tuning: TimeOptimalSettings
+    situation: Situation
+    seed: int
+    effort: int
+    longest: float
+    from_rest: bool = False
+    known: FirstOrderHold | None = None
+    failed: int = 0
+    rested: Vector | None = None
+
+    @property
+    def solver(self) -> ArrivalSolver:
+        """Solver with its limits of the drives."""
+        return solver_for(self.robot, self.tuning)
+
+    def __call__(self, store: Store | None = None) -> Plan | str:
+        """Return the plan with the earliest arrival that is found, other than the one known.
+
+        Without one it is why there is none wherever one searches; empty where that is not so.
+        """
+        end = time.perf_counter() + self.longest
+        found = self._new(end) if self.known is None else self._earlier(self.known, end)
+        return replace(found, motion=self.seed) if isinstance(found, Plan) else found or ""
+
+    def _new(self, end: float) -> Plan | str | None:
+        guidance = local_goal(self.situation, self.solver, self.failed)
+        if guidance.reason:
+            return guidance.reason
+        for aim in guidance.aims:
+            search = ArrivalSearch(self.solver, aim.situation, self.seed, detour=aim.detour)
+            found = search.improve(int(aim.share * self.effort), end)
+            if found is not None and aim.is_final:
+                return found
+            if found is not None and leads_on(self.situation, self._rested, _end_of(found)):
+                return self._part(found)
+        if not guidance.by_lines or not self.situation.has_small_momentum:
+            return None  # lines are those of a sphere without momentum
+        found = self._by_lines(end) if guidance.sees_goal else None
+        if found is None and self.from_rest:
+            line = line_on(self.situation, self.solver, self._rested)
+            return None if line is None else self._part(line)
+        return found
+
+    @property
+    def _rested(self) -> Vector:
+        return self.situation.state[POSITION] if self.rested is None else self.rested
+
+    def _part(self, plan: Plan) -> Plan:
+        """Return a plan to a place on the way, with what is left from there."""
+        left = time_to_go(self.situation, _end_of(plan), self.robot.max_rotor_speed)
+        return replace(plan, remaining_time=left, final=self.situation.goal)
+
+    def _earlier(self, known: FirstOrderHold, end: float) -> Plan | None:
+        """Return a plan with an earlier arrival than the one that is known; None without one."""
+        situation, solver = self.situation, self.solver
+        goal = situation.aim(situation.goal)
+        start = solver.solve(situation, goal, known, budget=self.longest, kept=True)
+        if start.error > self.tuning.arrival_error:
+            return None
+        search = ArrivalSearch(solver, situation, self.seed, start, detour_to_goal(situation))
+        found = search.improve_once(end)
+        return None if found is start else found
+
+    def _by_lines(self, end: float) -> Plan | None:
+        """Return a plan to the goal that ends with straight lines to it."""
+        lines = lines_to_goal(self.situation, self.solver)
+        if lines is None:
+            return None
+        aim = replace(self.situation, goal=lines[0], orientation=Orientation.FULL)
+        found = ArrivalSearch(self.solver, aim, self.seed).improve(self.effort, end)
+        return None if found is None else with_lines(self.situation, found, lines[1])
+
+
+def _end_of(plan: Plan) -> Vector:
+    """Return the place where a plan ends, shape (2,) [m]."""
+    return plan.states[-1, POSITION]
+
+
+class BackgroundSearch:
+    """Search for plans, one at a time, of which the state machine asks what has been found.
+
+    Parameters
+    ----------
+    settings : ControllerSettings
+        Sample period, control rate, planning effort.
+    tuning : TimeOptimalSettings
+        Tuning of the searches.
+    """
+
+    def __init__(self, settings: ControllerSettings, tuning: TimeOptimalSettings) -> None:
+        self._settings, self._tuning = settings, tuning
+        self._in_line = InLine()
+        self._worker: Worker = self._in_line
+        self._ahead = 0.0
+        self._reply: Reply[Plan | str] = Reply()
+        self.reset()
+
+    def work_by(self, worker: Worker) -> None:
+        """Search by a worker from now on; in line while there is none to be had."""
+        self._worker, self._ahead = worker, self._tuning.search_ahead
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Use another planning effort from the next search on."""
+        self._settings = settings
+
+    def reset(self) -> None:
+        """Forget all searches."""
+        self._task: SearchTask | None = None
+        self._seeds = itertools.count(1)
+        self._improved_at = -math.inf
+        """Control time at which a search that is not urgent has begun [s]."""
+        self.failed = 0
+        """Searches in succession that have found nothing, in the present state."""
+        self._has_failed = False
+        self.no_way = ""
+        """Why there is no way to the goal, as the last search has found; empty otherwise."""
+        self._no_way_on: Floor | None = None
+
+    def cancel(self) -> None:
+        """Forget the search under way and those that have failed."""
+        self._task, self.failed = None, 0
+
+    def count_anew(self) -> None:
+        """Count failed searches from the present sampling instant on, this one included."""
+        self.failed = int(self._has_failed)
+
+    @property
+    def _by(self) -> Worker:
+        """What searches now: the worker, if there is one to be had."""
+        return self._worker if self._worker.available else self._in_line
+
+    @property
+    def ahead(self) -> float:
+        """Time from the request of a search to the start of its plan [s, control time]."""
+        return 0.0 if self._by is self._in_line else self._ahead
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a search is under way."""
+        return self._task is not None
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a search is under way for another plan than one that arrives earlier."""
+        return self._task is not None and self._task.known is None
+
+    def begins(self, now: float) -> float:
+        """Return the control time at which the plan of a search that begins now starts [s]."""
+        ahead = self.ahead
+        return now + (max(ahead, self._settings.control_period) if ahead else 0.0)
+
+    def next_at(self) -> float:
+        """Return the control time from which on the next search that is not urgent begins [s]."""
+        settings = self._settings
+        return self._improved_at + settings.period - 0.5 * settings.control_period
+
+    def may_find(self, situation: Situation) -> bool:
+        """Return whether to search; where there was no way on this floor, once a period."""
+        if not self.no_way or self._no_way_on is not situation.floor:
+            return True
+        now = situation.time
+        is_due = now > self.next_at()
+        if is_due:
+            self._improved_at = now
+        return is_due
+
+    def begin(
+        self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector,
+        from_rest: bool,
+    ) -> None:
+        """Search for a plan where there is none, from a situation on.
+
+        `deadline` is the steady clock reading [s] at which a search in line stops. The sphere has
+        last `rested` at a place, shape (2,) [m]; `from_rest` it does so until the plan begins.
+        """
+        # In motion the next search has another problem, which may be easier.
+        growth = self._tuning.growth(self.failed) if from_rest else 1.0
+        self._submit(
+            start, solver, deadline, growth, from_rest=from_rest, failed=self.failed,
+            rested=rested,
+        )
+
+    def improve(
+        self, start: Situation, solver: ArrivalSolver, deadline: float, now: float,
+        known: FirstOrderHold | None, is_part: bool, rested: Vector | None,
+    ) -> None:
+        """Search for a better plan than the one that is followed, at `now` [s].
+
+        `known` is what remains of that at the start where it leads to the goal; it `is_part` where
+        it ends on the way there. The others are as for `begin`.
+        """
+        self._improved_at = now
+        self._submit(
+            start, solver, deadline, 1.0, known=known, failed=self.failed if is_part else 0,
+            rested=rested,
+        )
+
+    def _submit(
+        self, start: Situation, solver: ArrivalSolver, deadline: float, growth: float,
+        from_rest: bool = False, known: FirstOrderHold | None = None, failed: int = 0,
+        rested: Vector | None = None,
+    ) -> None:
+        worker, tuning = self._by, self._tuning
+        longest = growth * tuning.longest_search
+        if worker is self._in_line:
+            longest = deadline - time.perf_counter()
+        task = SearchTask(
+            solver.robot, tuning, start, next(self._seeds),
+            round(growth * self._settings.planning_effort), longest, from_rest, known, failed,
+            rested,
+        )
+        self._reply = worker.submit(task)
+        self._task = None if self._reply.error else task
+
+    def is_due(self, now: float) -> bool:
+        """Return whether `take` returns what a search has found at `now` [s]."""
+        task = self._task
+        if task is None:
+            return False
+        self._worker.poll()
+        if self._reply.error:
+            self._task = None
+        begins = task.from_rest or now >= task.situation.time - _SAME_TIME
+        return self._reply.ready and begins
+
+    def take(self, now: float) -> tuple[SearchTask, Plan] | None:
+        """Return a search that is complete and whose plan begins at `now` [s], with the plan.
+
+        None if there is none, or it has found nothing. A plan that should have begun before the
+        last sampling instant is none.
+        """
+        self._has_failed = False
+        if not self.is_due(now) or self._task is None:
+            return None
+        task, self._task = self._task, None
+        late = now - task.situation.time
+        allowed = max(self._settings.control_period, _LEAST_TICK) + _SAME_TIME
+        if not task.from_rest and late > allowed:
+            self._ahead = min(_GROWTH * self._ahead, 2.0 * self._tuning.longest_search)
+            return None
+        found = self._reply.result
+        if isinstance(found, Plan):
+            self.no_way, self._no_way_on = "", None
+            return task, found
+        self.no_way, self._no_way_on = found or "", task.situation.floor
+        self._has_failed = not found
+        self.failed += self._has_failed
+        return None
+
+
+def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:
+    """Return the situation at control time `time` [s] if the rotors follow `hold` until then.
+
+    It is predicted in integration steps of up to `max_step` [s].
+    """
+    now = situation.time
+    if time <= now:
+        return situation
+    knots = hold.times[(hold.times > now) & (hold.times < time)]
+    times = np.concatenate(([now], knots, [time]))
+    speeds: Vector = np.array([hold.at(float(t)) for t in times])
+    state = roll_out(
+        situation.state, speeds, np.diff(times), situation.constants.as_array(), max_step,
+        situation.disturbance,
+    )[-1]
+    goal = situation.goal_after(time - now)
+    return replace(situation, time=time, state=state, input_in_force=speeds[-1], goal=goal)

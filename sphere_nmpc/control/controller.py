@@ -4,7 +4,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from sphere_nmpc.control.monitors import (
     Progress,
     relative_error,
 )
+from sphere_nmpc.control.planned import Planned
 from sphere_nmpc.control.pose_stream import PoseCheck, PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
-from sphere_nmpc.estimation.pose_filter import Estimate, PlantEstimate
+from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -29,12 +30,10 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
-    POSE,
     POSITION,
     STATE_SIZE,
     Vector,
     as_state,
-    state_error,
     without_momentum,
 )
 from sphere_nmpc.model.torque import within_torque
@@ -48,45 +47,10 @@ _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Planned:
-    """Plan of the strategy with what it was made for."""
-
-    mode: Mode
-    plan: Plan
-    situation: Situation
-    aim: Goal
-    plant: PlantEstimate
-
-    @property
-    def is_certified(self) -> bool:
-        """Whether the motion that is planned has been certified to keep clear."""
-        return not self.situation.floor.is_empty and not self.plan.stops
-
-    def stands(
-        self, time: float, estimate: Estimate, aim: Goal, floor: Floor
-    ) -> bool:
-        """Return whether nothing is new at `time` [s], so that no other plan is wanted.
-
-        That is while goal, floor and plant are those that it was made for, and the sphere moves as
-        it predicts.
-        """
-        plan, made_for = self.plan, self.situation
-        if not made_for.time < time < plan.until or aim is not self.aim:
-            return False
-        if floor is not made_for.floor or estimate.plant is not self.plant:
-            return False
-        if estimate.disturbance is not made_for.disturbance:
-            return False
-        predicted = plan.state_at(time, made_for.constants.as_array(), made_for.disturbance)
-        error = state_error(estimate.state, predicted[POSE])
-        return error <= max(plan.tolerance, estimate.uncertainty)
-
-
 class Controller:
     """Control loop of estimation, planning and commands; it never raises while running.
 
-    A plan is kept while nothing is new, see `_Planned`. Each command ends at rest, so that the
+    A plan is kept while nothing is new, see `Planned`. Each command ends at rest, so that the
     hold in force can safely be followed to its end: if an estimate or a solve fails, it stays in
     force. Without a goal, a pose or permission the sphere
     stops on the path of that hold; with momentum the rotors stop, and the sphere rolls on.
@@ -139,7 +103,7 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
-        self._planned: _Planned | None = None
+        self._planned: Planned | None = None
         """The newest plan, with what it was made for; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
@@ -540,7 +504,7 @@ class Controller:
             self._followed = plan.motion
             saturated = plan.status is PlanStatus.SATURATED
             mode = Mode.SATURATED if saturated else Mode.TRACKING
-            self._planned = _Planned(mode, plan, situation, aim, plant)
+            self._planned = Planned(mode, plan, situation, aim, plant)
             return mode, plan
         except Exception as error:
             return Mode.FALLBACK, self._fallback(time, estimate.state, error)

@@ -171,12 +171,16 @@ class BackgroundSearch:
     ----------
     settings : ControllerSettings
         Sample period, control rate, planning effort.
+    robot : RobotParameters
+        Limits of the drives.
     tuning : TimeOptimalSettings
         Tuning of the searches.
     """
 
-    def __init__(self, settings: ControllerSettings, tuning: TimeOptimalSettings) -> None:
-        self._settings, self._tuning = settings, tuning
+    def __init__(
+        self, settings: ControllerSettings, robot: RobotParameters, tuning: TimeOptimalSettings
+    ) -> None:
+        self._settings, self._robot, self._tuning = settings, robot, tuning
         self._in_line = InLine()
         self._worker: Worker = self._in_line
         self._ahead = 0.0
@@ -192,7 +196,9 @@ class BackgroundSearch:
         self._settings = settings
 
     def reset(self) -> None:
-        """Forget all searches."""
+        """Forget all searches, and what the drives attain."""
+        self.solver = self._solver_with(1.0)
+        """Solver with the acceleration that the drives attain, for new plans."""
         self._task: SearchTask | None = None
         self._seeds = itertools.count(1)
         self._improved_at = -math.inf
@@ -203,6 +209,20 @@ class BackgroundSearch:
         self.no_way = ""
         """Why there is no way to the goal, as the last search has found; empty otherwise."""
         self._no_way_on: Floor | None = None
+
+    def _solver_with(self, share: float) -> ArrivalSolver:
+        """Return a solver with this share of the limit of the rotors' acceleration."""
+        limit = share * self._robot.max_rotor_acceleration
+        return solver_for(replace(self._robot, max_rotor_acceleration=limit), self._tuning)
+
+    def use_attained(self, acceleration: float) -> None:
+        """Search with the acceleration [rad/s^2] that the drives attain, unless as before."""
+        tuning, limit = self._tuning, self._robot.max_rotor_acceleration
+        share = min(1.0, tuning.attained_share * acceleration / limit)
+        share = max(share, tuning.slip_acceleration)
+        before = self.solver.robot.max_rotor_acceleration / limit
+        if abs(share - before) > (1.0 - tuning.attained_share) * share:
+            self.solver = self._solver_with(share)
 
     def cancel(self) -> None:
         """Forget the search under way and those that have failed."""
@@ -253,8 +273,7 @@ class BackgroundSearch:
         return is_due
 
     def begin(
-        self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector,
-        from_rest: bool,
+        self, start: Situation, deadline: float, rested: Vector, from_rest: bool
     ) -> None:
         """Search for a plan where there is none, from a situation on.
 
@@ -263,6 +282,9 @@ class BackgroundSearch:
         """
         # In motion the next search has another problem, which may be easier.
         growth = self._tuning.growth(self.failed) if from_rest else 1.0
+        solver = self.solver
+        if start.slippery:
+            solver = self._solver_with(self._tuning.slip_acceleration)
         self._submit(
             start, solver, deadline, growth, from_rest=from_rest, failed=self.failed,
             rested=rested,

@@ -42,9 +42,9 @@ def hold_momentum(
     if not is_zero(momentum, disturbance):
         speeds = speeds_at_rest(momentum, disturbance, quaternion, after)
         speeds = np.minimum(np.maximum(speeds, -max_speed), max_speed)
-    return FirstOrderHold(
-        np.concatenate((hold.times, hold.end + after)), np.concatenate((hold.speeds, speeds))
-    )
+    return hold.followed_by(FirstOrderHold(
+        np.append(hold.end, hold.end + after), np.vstack((hold.speeds[-1], speeds))
+    ))
 
 
 def come_to_rest(

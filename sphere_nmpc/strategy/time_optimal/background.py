@@ -201,7 +201,7 @@ class BackgroundSearch:
         """Solver with the acceleration that the drives attain, for new plans."""
         self._task: SearchTask | None = None
         self._seeds = itertools.count(1)
-        self._improved_at = -math.inf
+        self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
         self.failed = 0
         """Searches in succession that have found nothing, in the present state."""
@@ -209,6 +209,11 @@ class BackgroundSearch:
         self.no_way = ""
         """Why there is no way to the goal, as the last search has found; empty otherwise."""
         self._no_way_on: Floor | None = None
+
+    def solver_from(self, situation: Situation) -> ArrivalSolver:
+        """Return the solver for a new plan; where the sphere has slipped it accelerates less."""
+        slip = self._tuning.slip_acceleration
+        return self._solver_with(slip) if situation.slippery else self.solver
 
     def _solver_with(self, share: float) -> ArrivalSolver:
         """Return a solver with this share of the limit of the rotors' acceleration."""
@@ -260,7 +265,7 @@ class BackgroundSearch:
     def next_at(self) -> float:
         """Return the control time from which on the next search that is not urgent begins [s]."""
         settings = self._settings
-        return self._improved_at + settings.period - 0.5 * settings.control_period
+        return self.improved_at + settings.period - 0.5 * settings.control_period
 
     def may_find(self, situation: Situation) -> bool:
         """Return whether to search; where there was no way on this floor, once a period."""
@@ -269,55 +274,28 @@ class BackgroundSearch:
         now = situation.time
         is_due = now > self.next_at()
         if is_due:
-            self._improved_at = now
+            self.improved_at = now
         return is_due
 
     def begin(
-        self, start: Situation, deadline: float, rested: Vector, from_rest: bool
+        self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector | None,
+        from_rest: bool = False, known: FirstOrderHold | None = None, is_new: bool = True,
     ) -> None:
-        """Search for a plan where there is none, from a situation on.
+        """Begin a search; see `SearchTask`.
 
-        `deadline` is the steady clock reading [s] at which a search in line stops. The sphere has
-        last `rested` at a place, shape (2,) [m]; `from_rest` it does so until the plan begins.
+        `deadline` is the steady clock reading [s] at which one in line stops. It `is_new` unless
+        a plan to the goal itself is followed: failed searches then make the local goal nearer.
         """
-        # In motion the next search has another problem, which may be easier.
-        growth = self._tuning.growth(self.failed) if from_rest else 1.0
-        solver = self.solver
-        if start.slippery:
-            solver = self._solver_with(self._tuning.slip_acceleration)
-        self._submit(
-            start, solver, deadline, growth, from_rest=from_rest, failed=self.failed,
-            rested=rested,
-        )
-
-    def improve(
-        self, start: Situation, solver: ArrivalSolver, deadline: float, now: float,
-        known: FirstOrderHold | None, is_part: bool, rested: Vector | None,
-    ) -> None:
-        """Search for a better plan than the one that is followed, at `now` [s].
-
-        `known` is what remains of that at the start where it leads to the goal; it `is_part` where
-        it ends on the way there. The others are as for `begin`.
-        """
-        self._improved_at = now
-        self._submit(
-            start, solver, deadline, 1.0, known=known, failed=self.failed if is_part else 0,
-            rested=rested,
-        )
-
-    def _submit(
-        self, start: Situation, solver: ArrivalSolver, deadline: float, growth: float,
-        from_rest: bool = False, known: FirstOrderHold | None = None, failed: int = 0,
-        rested: Vector | None = None,
-    ) -> None:
         worker, tuning = self._by, self._tuning
+        # In motion the next search has another problem, which may be easier.
+        growth = tuning.growth(self.failed) if from_rest else 1.0
         longest = growth * tuning.longest_search
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         task = SearchTask(
             solver.robot, tuning, start, next(self._seeds),
-            round(growth * self._settings.planning_effort), longest, from_rest, known, failed,
-            rested,
+            round(growth * self._settings.planning_effort), longest, from_rest, known,
+            self.failed if is_new else 0, rested,
         )
         self._reply = worker.submit(task)
         self._task = None if self._reply.error else task

@@ -265,11 +265,6 @@ class Machine:
             search.cancel()
         search.no_way = ""
 
-    @property
-    def has_found_none(self) -> bool:
-        """Whether the last search has found no plan where there is none."""
-        return isinstance(self.state, Searching) and self.search.failed > 0
-
     def use_attained(self, acceleration: float) -> None:
         """Plan with the acceleration [rad/s^2] that the drives attain, also what remains."""
         state, followed = self.state, self.search.solver
@@ -344,7 +339,8 @@ class Machine:
         if not at_rest and ahead:
             ramp = stop(situation, self._robot, "").hold
             start = later(situation, ramp, situation.time + ahead, self.search.solver.grid.fine)
-        self.search.begin(start, deadline, situation.state[POSITION], at_rest)
+        solver, place = self.search.solver_from(situation), situation.state[POSITION]
+        self.search.begin(start, solver, deadline, place, from_rest=at_rest)
 
     def _improved(
         self, plan: Following, situation: Situation, dead_band: float, deadline: float
@@ -364,7 +360,8 @@ class Machine:
             start = replace(start, goal=nearer_sign(start.goal, plan.plan.goal.pose))
             known = plan.rest(start.time)
         rested = plan.rested if suits else None
-        search.improve(start, plan.solver, deadline, now, known, plan.is_part, rested)
+        search.improved_at = now
+        search.begin(start, plan.solver, deadline, rested, known=known, is_new=plan.is_part)
         if search.ahead:
             return plan
         found = self._found(situation, dead_band, deadline)

@@ -30,6 +30,7 @@ from sphere_nmpc.strategy.time_optimal.machine import (
     Holding,
     Machine,
     Saturated,
+    Searching,
     State,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -103,7 +104,8 @@ class TimeOptimalStrategy:
         before = machine.state
         end = before.momentum_at_arrival if isinstance(before, Following) else None
         rests = isinstance(before, Holding)
-        goal = at_rest.goal(situation, end, rests, machine.has_found_none)
+        found_none = isinstance(before, Searching) and machine.search.failed > 0
+        goal = at_rest.goal(situation, end, rests, found_none)
         if goal is not situation.goal:
             situation = replace(situation, goal=goal)
         state = machine.advance(situation, began + situation.time_budget)

@@ -25,7 +25,7 @@ def moved(pose: Vector, rate: Vector, elapsed: float) -> Vector:
 
     The rate is that of an error of `sphere_nmpc.model.error_state` [m/s; world, rad/s; body].
     """
-    return apply_error(pose, elapsed * rate) if rate.any() else pose
+    return pose if rate is STANDING or not rate.any() else apply_error(pose, elapsed * rate)
 
 
 class Orientation(Enum):

@@ -19,6 +19,7 @@ way, and is corrected at every sample. Rolling does not correct a turn about the
 the momentum does: its component along that axis turns the sphere, and a small tilt changes it.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +50,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import SMALL_MOMENTUM, Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import come_to_rest
+from sphere_nmpc.strategy.rest import come_to_rest, speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -127,7 +128,8 @@ class AtRest:
         self._tracking.reset()
 
     def goal(
-        self, situation: Situation, end: Vector | None, holding: bool, found_none: bool = False
+        self, situation: Situation, end: Callable[[Situation], Vector] | None, holding: bool,
+        found_none: bool = False,
     ) -> Vector:
         """Return the goal to aim at, shape (6,): the given object where that can be held.
 
@@ -135,8 +137,9 @@ class AtRest:
         ----------
         situation : Situation
             With the final goal.
-        end : ndarray of shape (3,), or None
-            Predicted momentum at the arrival of the plan that is followed; None without one.
+        end : callable or None
+            Returns the predicted momentum, shape (3,), at the arrival of the plan that is
+            followed; None without one.
         holding : bool
             Whether the sphere rests at the goal.
         found_none : bool, optional
@@ -148,17 +151,15 @@ class AtRest:
         unloading = self._unloading_near(situation, holding)
         if unloading is not None:
             self.limitation = "orientation for a while: it unloads the rotors"
-            momentum = situation.momentum if end is None else end
-            self._follow(momentum)
+            self._follow(situation.momentum if end is None else end(situation))
             self._unloading = _unloading_orientation(
                 situation.disturbance.imbalance, self._direction, unloading, found_none
             )
             return np.concatenate((goal[:2], self._unloading))
         if situation.has_small_momentum:
             return goal  # what may be an error of the estimate is no reason to leave
-        if end is None:
-            end = self._expected(situation, holding)
-        found = holdable_goal(goal, end, situation.disturbance)
+        momentum = end(situation) if end is not None else self._expected(situation, holding)
+        found = holdable_goal(goal, momentum, situation.disturbance)
         if found is not goal and situation.orientation is not Orientation.ANY:
             self.limitation = changed_orientation(angle_error(found, goal))
         return found
@@ -299,6 +300,12 @@ def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
         input_weight=_TRACKING_WEIGHT / settings.units.max_speed**2,
         max_iterations=_TRACKING_ITERATIONS,
     )
+
+
+def is_at_rest(situation: Situation, max_speed: float) -> bool:
+    """Return whether the rotors turn at the speeds at which the sphere rests."""
+    held = speeds_of_rest(situation.momentum, situation.state[QUATERNION], max_speed)
+    return bool(np.all(np.abs(situation.input_in_force - held) < SMALL_MOMENTUM))
 
 
 def is_saturated(momentum: Vector, quaternion: Vector, max_speed: float) -> bool:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.disturbance import Disturbance, rest_speeds, speeds_at_rest
+from sphere_nmpc.model.disturbance import Disturbance, is_zero, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
@@ -37,11 +37,13 @@ def hold_momentum(
     """
     steps = max(1, round(duration / _SPACING))
     after = duration * np.arange(1, steps + 1) / steps
-    speeds = speeds_at_rest(momentum, disturbance, quaternion, after)
-    speeds = np.minimum(np.maximum(speeds, -max_speed), max_speed)
-    return FirstOrderHold(
-        np.concatenate((hold.times, hold.end + after)), np.concatenate((hold.speeds, speeds))
-    )
+    speeds: Vector = np.zeros((steps, INPUT_SIZE))
+    if not is_zero(momentum, disturbance):
+        speeds = speeds_at_rest(momentum, disturbance, quaternion, after)
+        speeds = np.minimum(np.maximum(speeds, -max_speed), max_speed)
+    return hold.followed_by(FirstOrderHold(
+        np.append(hold.end, hold.end + after), np.vstack((hold.speeds[-1], speeds))
+    ))
 
 
 def come_to_rest(

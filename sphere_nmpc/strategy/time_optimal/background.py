@@ -171,12 +171,16 @@ class BackgroundSearch:
     ----------
     settings : ControllerSettings
         Sample period, control rate, planning effort.
+    robot : RobotParameters
+        Limits of the drives.
     tuning : TimeOptimalSettings
         Tuning of the searches.
     """
 
-    def __init__(self, settings: ControllerSettings, tuning: TimeOptimalSettings) -> None:
-        self._settings, self._tuning = settings, tuning
+    def __init__(
+        self, settings: ControllerSettings, robot: RobotParameters, tuning: TimeOptimalSettings
+    ) -> None:
+        self._settings, self._robot, self._tuning = settings, robot, tuning
         self._in_line = InLine()
         self._worker: Worker = self._in_line
         self._ahead = 0.0
@@ -192,10 +196,12 @@ class BackgroundSearch:
         self._settings = settings
 
     def reset(self) -> None:
-        """Forget all searches."""
+        """Forget all searches, and what the drives attain."""
+        self.solver = self._solver_with(1.0)
+        """Solver with the acceleration that the drives attain, for new plans."""
         self._task: SearchTask | None = None
         self._seeds = itertools.count(1)
-        self._improved_at = -math.inf
+        self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
         self.failed = 0
         """Searches in succession that have found nothing, in the present state."""
@@ -203,6 +209,25 @@ class BackgroundSearch:
         self.no_way = ""
         """Why there is no way to the goal, as the last search has found; empty otherwise."""
         self._no_way_on: Floor | None = None
+
+    def solver_from(self, situation: Situation) -> ArrivalSolver:
+        """Return the solver for a new plan; where the sphere has slipped it accelerates less."""
+        slip = self._tuning.slip_acceleration
+        return self._solver_with(slip) if situation.slippery else self.solver
+
+    def _solver_with(self, share: float) -> ArrivalSolver:
+        """Return a solver with this share of the limit of the rotors' acceleration."""
+        limit = share * self._robot.max_rotor_acceleration
+        return solver_for(replace(self._robot, max_rotor_acceleration=limit), self._tuning)
+
+    def use_attained(self, acceleration: float) -> None:
+        """Search with the acceleration [rad/s^2] that the drives attain, unless as before."""
+        tuning, limit = self._tuning, self._robot.max_rotor_acceleration
+        share = min(1.0, tuning.attained_share * acceleration / limit)
+        share = max(share, tuning.slip_acceleration)
+        before = self.solver.robot.max_rotor_acceleration / limit
+        if abs(share - before) > (1.0 - tuning.attained_share) * share:
+            self.solver = self._solver_with(share)
 
     def cancel(self) -> None:
         """Forget the search under way and those that have failed."""
@@ -240,7 +265,7 @@ class BackgroundSearch:
     def next_at(self) -> float:
         """Return the control time from which on the next search that is not urgent begins [s]."""
         settings = self._settings
-        return self._improved_at + settings.period - 0.5 * settings.control_period
+        return self.improved_at + settings.period - 0.5 * settings.control_period
 
     def may_find(self, situation: Situation) -> bool:
         """Return whether to search; where there was no way on this floor, once a period."""
@@ -249,53 +274,28 @@ class BackgroundSearch:
         now = situation.time
         is_due = now > self.next_at()
         if is_due:
-            self._improved_at = now
+            self.improved_at = now
         return is_due
 
     def begin(
-        self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector,
-        from_rest: bool,
+        self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector | None,
+        from_rest: bool = False, known: FirstOrderHold | None = None, is_new: bool = True,
     ) -> None:
-        """Search for a plan where there is none, from a situation on.
+        """Begin a search; see `SearchTask`.
 
-        `deadline` is the steady clock reading [s] at which a search in line stops. The sphere has
-        last `rested` at a place, shape (2,) [m]; `from_rest` it does so until the plan begins.
+        `deadline` is the steady clock reading [s] at which one in line stops. It `is_new` unless
+        a plan to the goal itself is followed: failed searches then make the local goal nearer.
         """
-        # In motion the next search has another problem, which may be easier.
-        growth = self._tuning.growth(self.failed) if from_rest else 1.0
-        self._submit(
-            start, solver, deadline, growth, from_rest=from_rest, failed=self.failed,
-            rested=rested,
-        )
-
-    def improve(
-        self, start: Situation, solver: ArrivalSolver, deadline: float, now: float,
-        known: FirstOrderHold | None, is_part: bool, rested: Vector | None,
-    ) -> None:
-        """Search for a better plan than the one that is followed, at `now` [s].
-
-        `known` is what remains of that at the start where it leads to the goal; it `is_part` where
-        it ends on the way there. The others are as for `begin`.
-        """
-        self._improved_at = now
-        self._submit(
-            start, solver, deadline, 1.0, known=known, failed=self.failed if is_part else 0,
-            rested=rested,
-        )
-
-    def _submit(
-        self, start: Situation, solver: ArrivalSolver, deadline: float, growth: float,
-        from_rest: bool = False, known: FirstOrderHold | None = None, failed: int = 0,
-        rested: Vector | None = None,
-    ) -> None:
         worker, tuning = self._by, self._tuning
+        # In motion the next search has another problem, which may be easier.
+        growth = tuning.growth(self.failed) if from_rest else 1.0
         longest = growth * tuning.longest_search
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         task = SearchTask(
             solver.robot, tuning, start, next(self._seeds),
-            round(growth * self._settings.planning_effort), longest, from_rest, known, failed,
-            rested,
+            round(growth * self._settings.planning_effort), longest, from_rest, known,
+            self.failed if is_new else 0, rested,
         )
         self._reply = worker.submit(task)
         self._task = None if self._reply.error else task

@@ -25,25 +25,23 @@ import numpy as np
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
-from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     MOMENTUM,
     POSITION,
     QUATERNION,
     Vector,
-    angle_error,
     nearer_sign,
-    position_error,
     state_error,
 )
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.at_rest import is_saturated
+from sphere_nmpc.strategy.at_rest import is_at_rest, is_saturated
 from sphere_nmpc.strategy.clearance import Margin, clearance_of
-from sphere_nmpc.strategy.contract import SMALL_MOMENTUM, Situation
+from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import hold_momentum, speeds_of_rest, stop
+from sphere_nmpc.strategy.rest import hold_momentum, stop
 from sphere_nmpc.strategy.time_optimal.arrival import RAISES, ArrivalSolver, rolled_out
-from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later, solver_for
+from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later
 from sphere_nmpc.strategy.time_optimal.guide import way_of_time
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
@@ -51,17 +49,6 @@ _LEAST_GAIN = 5e-3
 """Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
 _ENDED = 1e-3
 """Time left of a plan [s] below which it has ended."""
-
-
-def is_near(
-    goal: Vector, other: Vector, constants: LumpedConstants, settings: TimeOptimalSettings
-) -> bool:
-    """Return whether a plan to one goal, shape (6,), is changed to another one, not dropped."""
-    if np.array_equal(goal, other):  # as at nearly every sample, in a fifth of the time
-        return True
-    allowed = settings.largest_change_of_goal
-    near = position_error(goal, other) < allowed * constants.shell_radius
-    return near and angle_error(goal, other) < allowed
 
 
 @dataclass(frozen=True)
@@ -121,15 +108,7 @@ class Following:
         else:
             own = situation.orientation.nearest(plan.final, situation.goal)
         goal = situation.goal_after(self.time_left(situation.time))
-        return is_near(own, goal, situation.constants, self.solver.settings)
-
-    def aimed_at(self, situation: Situation) -> "Following":
-        """Return the plan with the goal of a situation, which it is solved for from then on."""
-        if self.is_part:
-            return self
-        own, pose = self.plan.goal, situation.goal_after(self.since - situation.time)
-        goal = Goal(nearer_sign(pose, own.pose), own.orientation, situation.goal_rate)
-        return replace(self, plan=replace(self.plan, goal=goal))
+        return self.solver.settings.is_near(own, goal, situation.constants)
 
     def prediction(self, now: float) -> Vector:
         """Return the state, shape (9,), that the plan has predicted for `now`."""
@@ -155,25 +134,26 @@ class Following:
         return grid.thinned(grid.split(rest))
 
     def solved_again(
-        self, situation: Situation, dead_band: float, deadline: float
+        self, situation: Situation, dead_band: float, deadline: float, is_aimed: bool = False
     ) -> "Following | None":
         """Return what remains of the plan, solved from the present state; None if it has ended.
 
         Parameters
         ----------
         situation : Situation
-            The present one; what is aimed at is the goal of the plan.
+            The present one.
         dead_band : float
             Error within which the sphere rests at the goal.
         deadline : float
             Steady clock reading at which to stop [s].
+        is_aimed : bool, optional
+            Whether it is solved for the goal of the situation, rather than for its own.
         """
         now, settings, before = situation.time, self.solver.settings, self.plan
         if self.time_left(now) < _ENDED:
             return None
         hold = rest = self.rest(now)
-        own = before.goal
-        goal = Goal(own.at(now - self.since), own.orientation, own.rate)
+        goal = self._goal_at(situation, is_aimed)
         # With noise an error is left where it would take a manoeuvre to correct it.
         noisy = settings.noisy_share * (dead_band - settings.least_dead_band)
         wanted = max(settings.arrival_error, noisy)
@@ -187,7 +167,7 @@ class Following:
         clearance = clearance_of(situation, plan.hold, Margin.KEPT)
         if math.isnan(clearance):
             # What remains of a plan that kept clear may still do so as it is.
-            plan = rolled_out(before, situation, rest)
+            plan = rolled_out(replace(before, goal=goal), situation, rest)
             clearance = clearance_of(situation, plan.hold, Margin.KEPT)
             if math.isnan(clearance):
                 return None
@@ -198,6 +178,14 @@ class Following:
             clearance=clearance,
         )
         return Following(plan, now, self.solver, self.rested)
+
+    def _goal_at(self, situation: Situation, is_aimed: bool) -> Goal:
+        """Return what it is solved for in a situation, see `solved_again`, from then on."""
+        own, elapsed = self.plan.goal, situation.time - self.since
+        if is_aimed and not self.is_part:
+            pose = nearer_sign(situation.goal_after(-elapsed), own.pose)
+            own = Goal(pose, own.orientation, situation.goal_rate)
+        return Goal(own.at(elapsed), own.orientation, own.rate)
 
     def in_control_time(self, situation: Situation, max_speed: float) -> Plan:
         """Return the plan that the loop follows, with what holds the momentum after its end.
@@ -213,7 +201,7 @@ class Following:
         return replace(
             plan, hold=hold, states=np.vstack((own.states, rests)), cost=own.error**2,
             message=f"arrives in {own.duration:.2f} s, {own.error:.1e} off",
-            beyond=way_of_time(own.remaining_time, situation, max_speed),
+            beyond=way_of_time(own.remaining_time, situation, max_speed) if self.is_part else 0.0,
         )
 
 
@@ -255,7 +243,7 @@ class Machine:
         self, settings: ControllerSettings, robot: RobotParameters, tuning: TimeOptimalSettings
     ) -> None:
         self._settings, self._robot, self._tuning = settings, robot, tuning
-        self.search = BackgroundSearch(settings, tuning)
+        self.search = BackgroundSearch(settings, robot, tuning)
         """What searches for plans."""
         self.reset()
 
@@ -268,7 +256,6 @@ class Machine:
         """Forget plans and searches."""
         self.state: State = Searching()
         """The state at the last sampling instant."""
-        self._solver = self._solver_with(1.0)
         self.search.reset()
 
     def forget_goal(self) -> None:
@@ -278,28 +265,12 @@ class Machine:
             search.cancel()
         search.no_way = ""
 
-    @property
-    def has_found_none(self) -> bool:
-        """Whether the last search has found no plan where there is none."""
-        return isinstance(self.state, Searching) and self.search.failed > 0
-
-    def _solver_with(self, share: float) -> ArrivalSolver:
-        """Return a solver with this share of the limit of the rotors' acceleration."""
-        limit = share * self._robot.max_rotor_acceleration
-        return solver_for(replace(self._robot, max_rotor_acceleration=limit), self._tuning)
-
     def use_attained(self, acceleration: float) -> None:
         """Plan with the acceleration [rad/s^2] that the drives attain, also what remains."""
-        tuning, limit = self._tuning, self._robot.max_rotor_acceleration
-        share = min(1.0, tuning.attained_share * acceleration / limit)
-        share = max(share, tuning.slip_acceleration)
-        before = self._solver.robot.max_rotor_acceleration / limit
-        if abs(share - before) <= (1.0 - tuning.attained_share) * share:
-            return
-        followed, self._solver = self._solver, self._solver_with(share)
-        state = self.state
-        if isinstance(state, Following) and state.solver is followed:
-            self.state = replace(state, solver=self._solver)
+        state, followed = self.state, self.search.solver
+        self.search.use_attained(acceleration)
+        if isinstance(state, Following) and state.solver is followed is not self.search.solver:
+            self.state = replace(state, solver=self.search.solver)
 
     def advance(self, situation: Situation, deadline: float) -> State:
         """Put the next state in force and return it; a search in line stops at `deadline` [s]."""
@@ -314,18 +285,18 @@ class Machine:
         ended = False
         if isinstance(state, Following):
             ended = state.leads_to(situation)
-            plan = state.aimed_at(situation) if ended else state
-            kept = plan.solved_again(situation, dead_band, deadline)
+            kept = state.solved_again(situation, dead_band, deadline, is_aimed=ended)
             followed = self._better(kept, found, situation)
             if followed is not None:
                 return self._improved(followed, situation, dead_band, deadline)
-        if is_saturated(situation.momentum, goal[QUATERNION], self._robot.max_rotor_speed):
+        limit = self._robot.max_rotor_speed
+        if is_saturated(situation.momentum, goal[QUATERNION], limit):
             return Saturated()
         error = state_error(situation.state, goal)
         tracked = tuning.tracked_error if situation.goal_rate.any() else 0.0
         if isinstance(state, Holding) and error < max(dead_band, state.leaving_error, tracked):
             return state
-        at_rest = self._is_at_rest(situation)
+        at_rest = is_at_rest(situation, limit)
         band = max(dead_band, tracked)
         if ended or not situation.has_small_momentum:
             band = max(band, tuning.leaving_error)
@@ -364,13 +335,12 @@ class Machine:
 
     def _search(self, situation: Situation, at_rest: bool, deadline: float) -> None:
         """Begin a search where there is no plan."""
-        start, ahead, solver = situation, self.search.ahead, self._solver
+        start, ahead = situation, self.search.ahead
         if not at_rest and ahead:
             ramp = stop(situation, self._robot, "").hold
-            start = later(situation, ramp, situation.time + ahead, solver.grid.fine)
-        if situation.slippery:
-            solver = self._solver_with(self._tuning.slip_acceleration)
-        self.search.begin(start, solver, deadline, situation.state[POSITION], at_rest)
+            start = later(situation, ramp, situation.time + ahead, self.search.solver.grid.fine)
+        solver, place = self.search.solver_from(situation), situation.state[POSITION]
+        self.search.begin(start, solver, deadline, place, from_rest=at_rest)
 
     def _improved(
         self, plan: Following, situation: Situation, dead_band: float, deadline: float
@@ -390,12 +360,12 @@ class Machine:
             start = replace(start, goal=nearer_sign(start.goal, plan.plan.goal.pose))
             known = plan.rest(start.time)
         rested = plan.rested if suits else None
-        search.improve(start, plan.solver, deadline, now, known, plan.is_part, rested)
+        search.improved_at = now
+        search.begin(start, plan.solver, deadline, rested, known=known, is_new=plan.is_part)
         if search.ahead:
             return plan
-        return self._better(
-            plan, self._found(situation, dead_band, deadline), situation
-        ) or plan
+        found = self._found(situation, dead_band, deadline)
+        return self._better(plan, found, situation) or plan
 
     def _is_improved(self, plan: Following, now: float) -> bool:
         """Return whether no earlier arrival is searched for any more."""
@@ -403,12 +373,6 @@ class Machine:
             self.search.failed >= self._tuning.failed_searches
             or plan.time_left(self.search.begins(now)) < 2.0 * plan.solver.grid.spacing
         )
-
-    def _is_at_rest(self, situation: Situation) -> bool:
-        """Return whether the rotors turn at the speeds at which the sphere rests."""
-        turn, limit = situation.state[QUATERNION], self._robot.max_rotor_speed
-        held = speeds_of_rest(situation.momentum, turn, limit)
-        return bool(np.all(np.abs(situation.input_in_force - held) < SMALL_MOMENTUM))
 
     def until(self, situation: Situation) -> float:
         """Return the control time before which no other plan is wanted [s] if nothing is new."""

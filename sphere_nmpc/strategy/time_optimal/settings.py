@@ -4,7 +4,10 @@
 
 from dataclasses import dataclass
 
-from sphere_nmpc.model.parameters import RobotParameters
+import numpy as np
+
+from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _TABLE_1 = RobotParameters()
@@ -127,6 +130,14 @@ class TimeOptimalSettings:
         rolling = SteadyRolling.of(robot.lumped, robot.max_rotor_speed)
         ramps = 2.0 * max(0.0, robot.ramp_time - _TABLE_1.ramp_time)
         return self.near_radii * robot.shell_radius + ramps * rolling.speed
+
+    def is_near(self, goal: Vector, other: Vector, constants: LumpedConstants) -> bool:
+        """Return whether a plan to one goal, shape (6,), is changed to another, not dropped."""
+        if np.array_equal(goal, other):  # as at nearly every sample, in a fifth of the time
+            return True
+        allowed = self.largest_change_of_goal
+        near = position_error(goal, other) < allowed * constants.shell_radius
+        return near and angle_error(goal, other) < allowed
 
     def growth(self, failed: int) -> float:
         """Return the factor [-] on the effort after that many searches without an arrival."""

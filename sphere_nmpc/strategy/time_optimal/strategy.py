@@ -30,8 +30,8 @@ from sphere_nmpc.strategy.time_optimal.machine import (
     Holding,
     Machine,
     Saturated,
+    Searching,
     State,
-    is_near,
 )
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.worker.contract import Worker
@@ -101,11 +101,11 @@ class TimeOptimalStrategy:
             machine.forget_goal()
         self._last = situation
         machine.use_attained(situation.acceleration)
-        before, end = machine.state, None
-        if isinstance(before, Following):
-            end = before.momentum_at_arrival(situation)
+        before = machine.state
+        end = before.momentum_at_arrival if isinstance(before, Following) else None
         rests = isinstance(before, Holding)
-        goal = at_rest.goal(situation, end, rests, machine.has_found_none)
+        found_none = isinstance(before, Searching) and machine.search.failed > 0
+        goal = at_rest.goal(situation, end, rests, found_none)
         if goal is not situation.goal:
             situation = replace(situation, goal=goal)
         state = machine.advance(situation, began + situation.time_budget)
@@ -145,7 +145,7 @@ class TimeOptimalStrategy:
             return True
         moved = last.goal_after(situation.time - last.time)
         moved = orientation.nearest(moved, situation.goal)
-        return not is_near(moved, situation.goal, situation.constants, self._tuning)
+        return not self._tuning.is_near(moved, situation.goal, situation.constants)
 
     def _with_member(self, situation: Situation) -> Situation:
         """Return the situation with the member of the goals that is nearest to the plan's end.

@@ -267,7 +267,7 @@ def rolled_out(plan: Plan, situation: Situation, hold: FirstOrderHold) -> Plan:
         situation.state, hold.speeds, np.diff(hold.times), situation.constants.as_array(),
         disturbance=situation.disturbance,
     )
-    pose = plan.goal.orientation.nearest(situation.goal, states[-1])
+    pose = plan.goal.orientation.nearest(plan.goal.pose, states[-1])
     error = state_error(states[-1], nearer_sign(pose, states[-1]))
     goal = replace(plan.goal, pose=pose)
     return replace(plan, hold=hold, states=states, goal=goal, error=error, turns=0)

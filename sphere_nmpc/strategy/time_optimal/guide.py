@@ -293,7 +293,7 @@ def with_lines(
     situation: Situation, plan: Plan, lines: FirstOrderHold
 ) -> Plan | None:
     """Return the plan to where lines to the goal begin together with them; None if not clear."""
-    goal = replace(plan.goal, orientation=Orientation.FULL)
+    goal = replace(plan.goal, pose=situation.goal, orientation=Orientation.FULL)
     found = rolled_out(replace(plan, goal=goal), situation, joined([plan.hold, lines]))
     return found if is_clear(situation, found.hold, Margin.KEPT) else None
 

@@ -25,7 +25,7 @@ from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal, Itinerary
+from sphere_nmpc.model.goal import Goal, GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
@@ -87,7 +87,7 @@ class Controller:
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
         self._floor = Floor.EMPTY
-        self._itinerary: Itinerary | None = None
+        self._goal_sequence: GoalSequence | None = None
         self._motion = GoalMotion()
         self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
@@ -148,14 +148,14 @@ class Controller:
         return self._arrival.took
 
     @property
-    def itinerary(self) -> Itinerary | None:
+    def goal_sequence(self) -> GoalSequence | None:
         """The goals in force, or None."""
-        return self._itinerary
+        return self._goal_sequence
 
     @property
     def goal(self) -> Vector | None:
         """Pose of the goal that is aimed at, shape (6,), or None."""
-        return None if self._itinerary is None else self._itinerary.goal.pose.copy()
+        return None if self._goal_sequence is None else self._goal_sequence.goal.pose.copy()
 
     def goal_speed(self, time: float) -> float:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
@@ -168,7 +168,7 @@ class Controller:
         To the goal that is aimed at they are those of the plan, where they are known, that is not
         nan; otherwise, and from goal to goal, those of rolling straight from rest to rest.
         """
-        goals, newest = self._itinerary, self._estimator.newest
+        goals, newest = self._goal_sequence, self._estimator.newest
         if goals is None or newest is None:
             return math.nan, math.nan
         rolling = SteadyRolling.of(
@@ -186,13 +186,13 @@ class Controller:
 
     def _goal_at(self, time: float) -> Goal | None:
         """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""
-        goals = self._itinerary
+        goals = self._goal_sequence
         if goals is None:
             return None
         given = goals.goal
         goal = current(given, time)
         if goal is not given:
-            self._itinerary = replace(
+            self._goal_sequence = replace(
                 goals, goals=tuple(goal if one is given else one for one in goals.goals)
             )
         return goal
@@ -206,43 +206,43 @@ class Controller:
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
         one = goal if isinstance(goal, Goal) else Goal(as_state(goal))
-        return self.set_goals(Itinerary((one,)))
+        return self.set_goals(GoalSequence((one,)))
 
-    def set_goals(self, goals: Itinerary, time: float | None = None) -> bool:
+    def set_goals(self, goals: GoalSequence, time: float | None = None) -> bool:
         """Visit other goals, from the next sampling instant on.
 
         False if they are those in force; the present plan and their progress are then kept, unless
         all of a list have been visited. A single goal that is given again and again may differ a
         little each time, where the control time `time` [s] is known for which it is given.
         """
-        known = self._itinerary
+        known = self._goal_sequence
         if time is not None and len(goals.goals) == 1:
             goal, is_other = self._motion.update(time, goals.goal)
             goals = replace(goals, goals=(goal,))
             if known is not None and not is_other:
-                self._itinerary = goals
+                self._goal_sequence = goals
                 return False
         else:
             self._motion = GoalMotion()
         if known is not None and known.lists_same(goals):
             visited = known.index > 0 and self.at_goal
             if not visited:
-                self._itinerary = replace(known, stamp=goals.stamp)
+                self._goal_sequence = replace(known, stamp=goals.stamp)
                 return False
         self._aim(goals)
         return True
 
     def cancel(self) -> bool:
         """Give up the goals: the sphere stops on its path. False if there was none."""
-        if self._itinerary is None:
+        if self._goal_sequence is None:
             return False
-        self._itinerary, self._motion = None, GoalMotion()
+        self._goal_sequence, self._motion = None, GoalMotion()
         self._begin_anew()
         return True
 
-    def _aim(self, goals: Itinerary) -> None:
-        """Aim at a goal of an itinerary."""
-        self._itinerary = goals
+    def _aim(self, goals: GoalSequence) -> None:
+        """Aim at a goal of a sequence."""
+        self._goal_sequence = goals
         self._arrival = ArrivalDetector()
         self._progress.reset()
         if self._searching is None:
@@ -338,7 +338,7 @@ class Controller:
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
-        known = self._itinerary is not None and self._estimator.newest is not None
+        known = self._goal_sequence is not None and self._estimator.newest is not None
         return known and self.enabled and self.is_at_rest(now)
 
     @property
@@ -457,7 +457,7 @@ class Controller:
         away = relative_error(decision, settings)
         if self._is_refused and decision.solved:
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
-        reached, goals = self._arrival.update(time, away, settings.period), self._itinerary
+        reached, goals = self._arrival.update(time, away, settings.period), self._goal_sequence
         if reached and goals is not None and not goals.is_last:
             self._aim(replace(goals, index=goals.index + 1))
             return decision

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from sphere_nmpc.foreign_file import read_file
-from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.own_folder import own_folder
 
@@ -34,7 +34,7 @@ class GoalMemory:
         self._path = path
         self._keep = keep
 
-    def save(self, goals: Itinerary | None, stamp: int, simulated: bool) -> None:
+    def save(self, goals: GoalSequence | None, stamp: int, simulated: bool) -> None:
         """Write the goals in force at `stamp` [ns]; without any delete the last.
 
         `simulated` says whether the stamp is of simulated time or of the system clock.
@@ -58,7 +58,7 @@ class GoalMemory:
         fresh.write_text(json.dumps(content), encoding="ascii")
         fresh.replace(self._path)
 
-    def recall(self, stamp: int, simulated: bool) -> tuple[Itinerary, float] | None:
+    def recall(self, stamp: int, simulated: bool) -> tuple[GoalSequence, float] | None:
         """Return the goals of a controller that ended recently, and the time since [s, wall].
 
         None if there are none, if it ended too long ago, or if the clock, which now shows `stamp`
@@ -72,9 +72,10 @@ class GoalMemory:
             goals = tuple(
                 Goal(as_state(pose), Orientation(kind)) for kind, *pose in content["goals"]
             )
-            itinerary = Itinerary(goals, int(content["goal_stamp"]), max(0, int(content["index"])))
-            then, _ = int(content["stamp"]), itinerary.goal
+            index = max(0, int(content["index"]))
+            sequence = GoalSequence(goals, int(content["goal_stamp"]), index)
+            then, _ = int(content["stamp"]), sequence.goal
         except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError):
             return None
         is_same_clock = content.get("simulated") is simulated and then <= stamp
-        return (itinerary, age) if is_same_clock and age <= self._keep else None
+        return (sequence, age) if is_same_clock and age <= self._keep else None

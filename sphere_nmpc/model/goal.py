@@ -153,7 +153,7 @@ class Goal:
 
 
 @dataclass(frozen=True, eq=False)
-class Itinerary:
+class GoalSequence:
     """Goals that are visited in order.
 
     Attributes
@@ -180,7 +180,7 @@ class Itinerary:
         """Whether no other goal follows."""
         return self.index == len(self.goals) - 1
 
-    def lists_same(self, other: "Itinerary") -> bool:
+    def lists_same(self, other: "GoalSequence") -> bool:
         """Return whether it has the same goals in the same order."""
         pairs = zip(self.goals, other.goals, strict=False)
         return len(self.goals) == len(other.goals) and all(a.equals(b) for a, b in pairs)

@@ -10,7 +10,7 @@ from nav_msgs.msg import Goals
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
@@ -50,7 +50,7 @@ class GoalReceiver:
 
     def __init__(
         self, node: GuardedNode, clock: ControlClock, frame: str, orientation: Callable[[], str],
-        use: Callable[[Itinerary], None], fault_log: FaultLog,
+        use: Callable[[GoalSequence], None], fault_log: FaultLog,
     ) -> None:
         self._clock, self._frame, self._orientation = clock, frame, orientation
         self._use, self._fault_log = use, fault_log
@@ -76,7 +76,7 @@ class GoalReceiver:
             self._fault_log.report(f"{topic} refused", f"{error}; the goal in force stays")
             return
         stamp = stamp_from_ros(message.header.stamp) or self._clock.stamp()
-        self._use(Itinerary(goals, stamp))
+        self._use(GoalSequence(goals, stamp))
 
     def _pose(self, message: Any) -> tuple[Goal, ...]:
         pose = framed_pose_from_ros(message, self._frame)

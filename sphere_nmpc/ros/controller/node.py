@@ -37,7 +37,7 @@ from sphere_nmpc.control.schedule import (
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
-from sphere_nmpc.model.goal import Itinerary
+from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
@@ -220,7 +220,7 @@ class ControllerNode(RunnableNode):
 
     def _save_goal(self) -> None:
         controller = self.controller
-        self._stored_goal.save(controller.itinerary if controller.enabled else None)
+        self._stored_goal.save(controller.goal_sequence if controller.enabled else None)
 
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
@@ -302,7 +302,7 @@ class ControllerNode(RunnableNode):
     def _use_floor(self, floor: Floor | None) -> None:
         self.controller.floor = floor
 
-    def _set_goals(self, goals: Itinerary) -> None:
+    def _set_goals(self, goals: GoalSequence) -> None:
         """Visit goals; those that are in force already are only confirmed."""
         clock, wall = self._control_clock, time.monotonic()
         now = given = clock.steady_now()

@@ -115,7 +115,7 @@ class ControllerReports:
 
         One that is not new has been in force before.
         """
-        goals = self._controller.itinerary
+        goals = self._controller.goal_sequence
         if goals is not None:
             self._published_index, self._active_goal = goals.index, stamp
             self._goal.publish(
@@ -128,7 +128,7 @@ class ControllerReports:
 
     def _publish_progress(self, time: float, epoch: int) -> bool:
         """Publish the next goal of a list if the one before has been reached; return whether."""
-        goals = self._controller.itinerary
+        goals = self._controller.goal_sequence
         if goals is None or goals.index == self._published_index:
             return False
         self._event_log.report("goal", f"{goals.index} of {len(goals.goals)} reached")
@@ -149,7 +149,7 @@ class ControllerReports:
             return Mode.NO_POSE
         mode, controller = self._decision.mode, self._controller
         if mode in _OF_GOAL:
-            if controller.itinerary is None:
+            if controller.goal_sequence is None:
                 return Mode.NO_GOAL
             is_past = mode is Mode.NO_PROGRESS and self._is_outdated
             if is_past or (mode is Mode.AT_GOAL and not controller.at_goal):
@@ -186,7 +186,7 @@ class ControllerReports:
             level = ERROR if found[0].severe else max(level, WARN)
         self._status_at = perf_counter()
         values = {
-            **values, **goals_in_force(self._controller.itinerary, self._active_goal),
+            **values, **goals_in_force(self._controller.goal_sequence, self._active_goal),
             "floor_pending_s": self._floor_pending(),
             "pose_topic": self._monitor.pose_topic,
         }

@@ -18,7 +18,7 @@ from sphere_nmpc.model.disturbance import (
     rest_speeds,
     time_to_saturation,
 )
-from sphere_nmpc.model.goal import Itinerary
+from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.quantity import stamp_text
@@ -170,7 +170,7 @@ class ControllerStatus:
         }
 
 
-def goals_in_force(goals: Itinerary | None, active_goal: int) -> dict[str, Any]:
+def goals_in_force(goals: GoalSequence | None, active_goal: int) -> dict[str, Any]:
     """Return the status values that name the goals, and what the one aimed at demands.
 
     `active_goal` is the stamp [ns] of the message that was published for that one.

@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.model.goal import Itinerary
+from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.own_folder import cache_folder
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 
@@ -31,7 +31,7 @@ class StoredGoal:
         self.is_settled = False
         """Whether the stored goals have been restored or are superseded by new ones."""
 
-    def restore(self) -> tuple[Itinerary, float] | None:
+    def restore(self) -> tuple[GoalSequence, float] | None:
         """Return the goals to continue with, and their age [s, wall].
 
         They are returned at most once, by the first call with a known time; otherwise None is.
@@ -51,7 +51,7 @@ class StoredGoal:
         """Do not restore goals: new ones have been received."""
         self.is_settled = True
 
-    def save(self, goals: Itinerary | None) -> None:
+    def save(self, goals: GoalSequence | None) -> None:
         """Begin to store the goals in force, or that there are none."""
         self._report_failure()
         if self._memory is None or not self.is_settled or self._clock.now() is None:

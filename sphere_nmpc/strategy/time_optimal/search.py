@@ -50,7 +50,7 @@ _LATER = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""
 _TIME_OF_ERROR = 2.5
 """Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
-_PROMISING = 1.1
+_LARGEST_MERIT = 1.1
 """Sum of duration and delay [of the best arrival] up to which a trial is polished."""
 _ROUNDS = 4
 """Rounds at most in which an earlier arrival is searched for, while guesses collide."""
@@ -162,12 +162,12 @@ class ArrivalSearch:
             yield
         clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
         self._collided = len(clear) < len(trials)
-        survivors = islice(_different(clear, self._promise), settings.polished)
+        survivors = islice(_different(clear, self._merit), settings.polished)
         longest, polished = np.inf, list[Plan]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
         for arrival in survivors:
-            if self._promise(arrival) > _PROMISING * longest:
+            if self._merit(arrival) > _LARGEST_MERIT * longest:
                 break
             if arrival.error > self._reached:
                 arrival = self._with_more_time(arrival)
@@ -175,14 +175,14 @@ class ArrivalSearch:
             yield
         reached = [arrival for arrival in polished if arrival.error < self._reached]
         best = self.best
-        for arrival in sorted(reached, key=self._promise):
+        for arrival in sorted(reached, key=self._merit):
             if self.best is best and arrival.duration < longest:
                 yield from self._finished(arrival)
         # The shortest guesses may all be too short.
         short = (bool(polished) and not reached) or self.best is None
         self._later = _LATER * self._later + self._grid.spacing if short else 0.0
 
-    def _promise(self, arrival: Plan) -> float:
+    def _merit(self, arrival: Plan) -> float:
         """Return the duration with what its error is worth [s]."""
         return arrival.duration + self._settings.error_weight * self._grid.unit * arrival.error
 
@@ -311,11 +311,11 @@ class ArrivalSearch:
 
 
 def _different(
-    arrivals: list[Plan], promise: Callable[[Plan], float]
+    arrivals: list[Plan], merit: Callable[[Plan], float]
 ) -> Iterator[Plan]:
-    """Yield arrivals in the order of their promise, of motions that are alike the first alone."""
+    """Yield arrivals in the order of their merit, of motions that are alike the first alone."""
     signatures = list[Vector]()
-    for arrival in sorted(arrivals, key=promise):
+    for arrival in sorted(arrivals, key=merit):
         hold = arrival.hold
         signature = hold.resampled(hold.end * _COMPARED).speeds
         largest = float(np.max(np.abs(hold.speeds)))

@@ -8,11 +8,11 @@ import pytest
 
 from sphere_nmpc.control import goal_memory
 from sphere_nmpc.control.goal_memory import GoalMemory
-from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
 from sphere_nmpc.model.state import as_state
 
 POSES = [as_state([1.0, -2.0, 0.0, 0.6, 0.8, 0.0]), as_state([0.1, 0.2, 1.0, 0.0, 0.0, 0.0])]
-GOALS = Itinerary((Goal(POSES[0]), Goal(POSES[1], Orientation.ANY_HEADING)), 42, 1)
+GOALS = GoalSequence((Goal(POSES[0]), Goal(POSES[1], Orientation.ANY_HEADING)), 42, 1)
 STAMP = 12_345_678_901
 
 

@@ -11,7 +11,7 @@ from sampled_loop import SampledLoop
 
 from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.monitors import relative_error
-from sphere_nmpc.model.goal import Goal, Itinerary
+from sphere_nmpc.model.goal import Goal, GoalSequence
 from sphere_nmpc.model.state import Vector, state_error, upright_state
 from sphere_nmpc.settings import ControllerSettings
 
@@ -21,14 +21,14 @@ LONGEST = 12.0
 """Time within which the ideal sphere is at a near goal [s]; it takes 4 s."""
 
 
-def itinerary(*poses: Vector, stamp: int = 1) -> Itinerary:
-    return Itinerary(tuple(Goal(pose) for pose in poses), stamp)
+def goal_sequence(*poses: Vector, stamp: int = 1) -> GoalSequence:
+    return GoalSequence(tuple(Goal(pose) for pose in poses), stamp)
 
 
 def until_index(loop: SampledLoop, index: int) -> None:
     """Run until another goal of the list is aimed at."""
     end = loop.simulator.time + LONGEST
-    while loop.controller.itinerary.index < index:
+    while loop.controller.goal_sequence.index < index:
         assert loop.simulator.time < end, loop.decision
         loop.run(loop.settings.control_period)
 
@@ -36,7 +36,7 @@ def until_index(loop: SampledLoop, index: int) -> None:
 def test_what_remains_is_that_of_all_goals() -> None:
     controller = SampledLoop(START).controller
     assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no goal"
-    controller.set_goals(itinerary(*SQUARE))
+    controller.set_goals(goal_sequence(*SQUARE))
     assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no pose"
     controller.observe(0.0, START)
     time, way = controller.remaining(math.nan, math.nan)
@@ -51,7 +51,7 @@ def test_what_remains_is_that_of_all_goals() -> None:
 def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
     loop = SampledLoop(START)
     controller = loop.controller
-    assert controller.set_goals(itinerary(*SQUARE))
+    assert controller.set_goals(goal_sequence(*SQUARE))
     for k, pose in enumerate(SQUARE[:-1]):
         loop.states = []
         until_index(loop, k + 1)
@@ -60,20 +60,20 @@ def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
     loop.run(LONGEST)
     assert controller.at_goal and loop.decision.mode is Mode.AT_GOAL
     assert state_error(loop.pose, SQUARE[-1]) < 1e-2
-    assert controller.set_goals(itinerary(*SQUARE)), "all were visited: once more from the first"
-    assert controller.itinerary.index == 0
+    assert controller.set_goals(goal_sequence(*SQUARE)), "all were visited: once more"
+    assert controller.goal_sequence.index == 0
     assert controller.plans >= 3
 
 
 def test_repeated_list_goes_on_and_another_one_replaces_it() -> None:
     loop = SampledLoop(START)
     controller = loop.controller
-    controller.set_goals(itinerary(*SQUARE))
+    controller.set_goals(goal_sequence(*SQUARE))
     until_index(loop, 1)
-    assert not controller.set_goals(itinerary(*SQUARE, stamp=2))
-    assert (controller.itinerary.index, controller.itinerary.stamp) == (1, 2)
-    assert controller.set_goals(itinerary(*SQUARE[::-1]))
-    assert controller.itinerary.index == 0
+    assert not controller.set_goals(goal_sequence(*SQUARE, stamp=2))
+    assert (controller.goal_sequence.index, controller.goal_sequence.stamp) == (1, 2)
+    assert controller.set_goals(goal_sequence(*SQUARE[::-1]))
+    assert controller.goal_sequence.index == 0
     np.testing.assert_array_equal(controller.goal, SQUARE[-1])
 
 

@@ -11,7 +11,7 @@ from sampled_loop import SampledLoop
 
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.goal import Goal, Itinerary, Orientation
+from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     POSITION,
@@ -59,7 +59,7 @@ def followed(
         if count % 2 == 0 and now < gone:
             given = goal(now).copy()
             given[POSITION] += noise * rng.standard_normal(2)
-            loop.controller.set_goals(Itinerary((Goal(given, kind),)), now)
+            loop.controller.set_goals(GoalSequence((Goal(given, kind),)), now)
         loop.advance(0.5 * SPACING)
         count += 1
         true = goal(loop.simulator.time)
@@ -118,10 +118,10 @@ def test_another_goal_is_no_motion() -> None:
 def test_goal_after_a_list_is_another_one_however_near_to_that_before_it() -> None:
     loop, near = SampledLoop(START), upright_state(0.05, 0.0, 0.0)
     controller = loop.controller
-    assert controller.set_goals(Itinerary((Goal(START),)), 0.0)
-    assert controller.set_goals(Itinerary((Goal(START), Goal(near))), 0.1)
-    assert controller.set_goals(Itinerary((Goal(near),)), 0.2)
-    assert controller.itinerary.is_last
+    assert controller.set_goals(GoalSequence((Goal(START),)), 0.0)
+    assert controller.set_goals(GoalSequence((Goal(START), Goal(near))), 0.1)
+    assert controller.set_goals(GoalSequence((Goal(near),)), 0.2)
+    assert controller.goal_sequence.is_last
 
 
 def test_rate_is_that_of_the_stamps_also_of_a_goal_that_turns() -> None:

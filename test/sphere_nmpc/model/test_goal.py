@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.goal import Goal, Itinerary, Orientation, moved
+from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation, moved
 from sphere_nmpc.model.state import (
     POSITION,
     QUATERNION,
@@ -75,7 +75,7 @@ def test_goals_are_equal_in_what_they_demand() -> None:
     assert Goal(pose, anywhere).equals(Goal(turned, anywhere))
     assert not Goal(pose).equals(Goal(turned))
     assert not Goal(pose).equals(Goal(pose, anywhere))
-    assert not Itinerary((Goal(pose),)).lists_same(Itinerary((Goal(pose), Goal(pose))))
+    assert not GoalSequence((Goal(pose),)).lists_same(GoalSequence((Goal(pose), Goal(pose))))
 
 
 def test_goal_moves_at_its_rate() -> None:

@@ -340,7 +340,7 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert status["goal_stamp"] == "7.000000042"
     assert status["mode"] == "at the goal", "whatever its orientation"
     robot.graph.until(lambda: eta and eta[-1].data == 0.0)
-    assert robot.node.controller.itinerary.goal.orientation is Orientation.ANY
+    assert robot.node.controller.goal_sequence.goal.orientation is Orientation.ANY
     assert status["goal_orientation"] == "any" and float(status["angle_error_rad"]) == 0.0
     assert status["active_goal_stamp"] == stamp_of_message(robot.goals[-1])
     told = f"goal: {[round(float(v), 4) for v in CASE.start[:2]]}, position only\n"

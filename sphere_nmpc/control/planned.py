@@ -45,4 +45,4 @@ class Planned:
             return False
         predicted = plan.state_at(time, made_for.constants.as_array(), made_for.disturbance)
         error = state_error(estimate.state, predicted[POSE])
-        return error <= max(plan.tolerance, estimate.uncertainty)
+        return error <= plan.tolerance or error <= estimate.uncertainty

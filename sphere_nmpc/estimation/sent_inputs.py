@@ -6,15 +6,13 @@ from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
 SAME = 1e-9
 """Times [s] and speeds [rad/s] that differ by less are the same."""
-_SHORTEST = 1e-6
-"""Knots closer than this [s] count as one."""
 _SILENCE = 0.5
 """Time without measured speeds after which none are awaited [s]."""
 
@@ -70,7 +68,7 @@ class SentInputs:
 
         Not if none were received for a while at `now` [s].
         """
-        return now - _SILENCE < self.known_until < time - _SHORTEST
+        return now - _SILENCE < self.known_until < time - SHORTEST
 
     @property
     def newest(self) -> FirstOrderHold | None:
@@ -94,7 +92,7 @@ class SentInputs:
         newest = self.newest
         if newest is None:
             return joined
-        knots = newest.knots_between(now + _SHORTEST, hold.start - _SHORTEST)
+        knots = newest.knots_between(now + SHORTEST, hold.start - SHORTEST)
         if not knots:
             return joined
         speeds = np.array([newest.at(t) for t in knots])

@@ -154,10 +154,10 @@ class Plan:
 
     def state_at(self, time: float, constants: Vector, disturbance: Disturbance) -> Vector:
         """Return the state predicted for control time `time` [s], shape (9,)."""
-        hold = self.hold
-        begin = min(hold.knots_until(time), len(self.states)) - 1
-        times = [*hold.times[begin : hold.knots_until(time)].tolist(), time]
-        speeds = np.vstack((hold.speeds[begin : begin + len(times) - 1], hold.at(time)))
+        hold, passed = self.hold, self.hold.knots_until(time)
+        begin = min(passed, len(self.states)) - 1
+        times = [*hold.times[begin:passed].tolist(), time]
+        speeds = np.vstack((hold.speeds[begin:passed], hold.at(time)))
         return roll_out(
             self.states[begin], speeds, np.diff(times), constants, disturbance=disturbance
         )[-1]

@@ -262,17 +262,21 @@ class BackgroundSearch:
         ahead = self.ahead
         return now + (max(ahead, self._settings.control_period) if ahead else 0.0)
 
+    def a_period_after(self, time: float) -> float:
+        """Return the control time after which the instant a sample period later is [s]."""
+        return time + self._settings.period - 0.5 * self._settings.control_period
+
+    @property
     def next_at(self) -> float:
-        """Return the control time from which on the next search that is not urgent begins [s]."""
-        settings = self._settings
-        return self.improved_at + settings.period - 0.5 * settings.control_period
+        """Control time from which on the next search that is not urgent begins [s]."""
+        return self.a_period_after(self.improved_at)
 
     def may_find(self, situation: Situation) -> bool:
         """Return whether to search; where there was no way on this floor, once a period."""
         if not self.no_way or self._no_way_on is not situation.floor:
             return True
         now = situation.time
-        is_due = now > self.next_at()
+        is_due = now > self.next_at
         if is_due:
             self.improved_at = now
         return is_due

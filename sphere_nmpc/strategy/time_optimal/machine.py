@@ -242,15 +242,10 @@ class Machine:
     def __init__(
         self, settings: ControllerSettings, robot: RobotParameters, tuning: TimeOptimalSettings
     ) -> None:
-        self._settings, self._robot, self._tuning = settings, robot, tuning
+        self._robot, self._tuning = robot, tuning
         self.search = BackgroundSearch(settings, robot, tuning)
         """What searches for plans."""
         self.reset()
-
-    def change(self, settings: ControllerSettings) -> None:
-        """Use another planning effort; plan and started search are kept."""
-        self._settings = settings
-        self.search.change(settings)
 
     def reset(self) -> None:
         """Forget plans and searches."""
@@ -351,7 +346,7 @@ class Machine:
             return plan
         suits = plan.reaches and plan.leads_to(situation)
         anew = plan.is_part or not suits
-        if not anew and (now <= search.next_at() or self._is_improved(plan, now)):
+        if not anew and (now <= search.next_at or self._is_improved(plan, now)):
             return plan
         hold = plan.plan.hold.delayed(plan.since)
         start = later(situation, hold, search.begins(now), plan.solver.grid.fine)
@@ -376,8 +371,8 @@ class Machine:
 
     def until(self, situation: Situation) -> float:
         """Return the control time before which no other plan is wanted [s] if nothing is new."""
-        state, now, settings = self.state, situation.time, self._settings
-        until = now + settings.period - 0.5 * settings.control_period
+        state, now = self.state, situation.time
+        until = self.search.a_period_after(now)
         if isinstance(state, Holding):
             return -math.inf if situation.goal_rate.any() else until
         if not isinstance(state, Following) or not state.reaches:
@@ -385,7 +380,7 @@ class Machine:
         if not self.search.is_busy and not self._is_improved(state, now):
             if state.is_part:
                 return -math.inf
-            until = self.search.next_at()
+            until = self.search.next_at
         return min(until, state.since + state.plan.duration)
 
 

@@ -82,7 +82,7 @@ class TimeOptimalStrategy:
 
     def change(self, settings: ControllerSettings) -> None:
         """Use another planning effort and other weights; plan and started search are kept."""
-        self._machine.change(settings)
+        self._machine.search.change(settings)
         self._at_rest.change(settings)
 
     def reset(self) -> None:

@@ -164,6 +164,9 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
     robot.graph.until(lambda: len(robot.statuses) >= 2)
     assert not robot.trajectories and not robot.commands
     assert {values_of(status)["mode"] for status in robot.statuses} == {"no clock yet"}
+    # Its poses stand, whatever is sent: what is learnt of that depends on when results arrive.
+    off = [Parameter(name, value=False) for name in ("learning", "momentum")]
+    assert all(one.successful for one in robot.node.set_parameters(off))
     robot.pass_time(2.2)
     robot.graph.until(lambda: len(robot.trajectories) >= 4 and len(paths) >= 4)
     starts = [hold.start for hold in robot.holds()]

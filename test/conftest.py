@@ -27,7 +27,7 @@ if importlib.machinery.PathFinder.find_spec("sphere_nmpc", _INSTALLED):
 # Modules that tests share, those of the campaign of faults, and the scripts of bench/, some of
 # which are tested.
 _SCRIPTS = _HERE.parent / "bench"
-# Not this folder: its sphere_nmpc/ and sphere_sim/ would hide an editable installation.
+# Not this folder: names of its tests could hide modules.
 sys.path += map(str, (_HERE / "support", _HERE / "campaign", _SCRIPTS, _SCRIPTS / "documents"))
 
 

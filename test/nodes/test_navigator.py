@@ -1,0 +1,217 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Actions of the navigator with simulator and controller as processes; each of them is killed."""
+
+import importlib.machinery
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import navigation_messages
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from navigation_client import drawn, pose
+from navigation_session import AT_REST, Session
+
+from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.session.process_set import ProcessSet
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "when_it_does_not_move.md"
+ROWS = [
+    re.compile(".*".join(map(re.escape, row.split("…"))))
+    for row in re.findall(r"^\| ([^|]+?) \|", DOCUMENT.read_text("utf-8"), re.MULTILINE)
+]
+"""Patterns of the documented warnings."""
+SILENCE = 10.0
+"""Time-out where a node is killed [s]; one that runs is not silent for so long."""
+
+
+@pytest.fixture
+def begun(graph, tmp_path, monkeypatch) -> Iterator[Callable[..., Session]]:
+    """Return a function that starts a session with parameters of the navigator."""
+    navigation_messages.provide()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # the stored goal
+    with ProcessSet(tmp_path) as processes:
+        yield partial(Session, graph, processes)
+    log = (tmp_path / "navigator.log").read_text()
+    for warning in re.findall(r"\[WARN\] \S+ \[navigator\]: (.*)", log):
+        assert any(row.match(warning) for row in ROWS), warning
+
+
+@pytest.mark.slow
+def test_goals_cancels_and_takeovers_have_one_right_end_each(begun) -> None:
+    session, rng = begun(), np.random.default_rng(1)
+    client, graph = session.client, session.graph
+    others = graph.publisher(PoseStamped, "goal_pose")
+    for _ in range(5):
+        assert client.wait(client.send(drawn(rng))) == ["succeeded"]
+    for _ in range(5):
+        sent = client.send(drawn(rng))
+        graph.spin_for(rng.uniform(0.0, 0.5))
+        assert client.wait(sent) == ["canceled" if client.cancel(sent) else "succeeded"]
+        assert session.way_at_rest() < AT_REST
+    for number in range(5):
+        first = client.send(pose(2.0 - 4.0 * (number % 2), 0.0))
+        graph.spin_for(rng.uniform(0.0, 0.3))
+        seen = len(session.statuses)
+        if number % 2:
+            others.publish(drawn(rng))
+        else:
+            assert client.wait(client.send(drawn(rng), drawn(rng))) == ["succeeded"]
+        (end,) = client.wait(first)
+        arrived = any(values["mode"] == "at the goal" for values in session.statuses[:seen])
+        assert end == "aborted" or arrived
+        assert all(values["mode"] != "no goal" for values in session.statuses[seen:])
+    assert "refused" not in session.log("navigator")
+
+
+@pytest.mark.slow
+def test_feedback_tells_the_progress(begun) -> None:
+    session = begun()
+    sent = session.client.send(pose(1.0, 0.0), pose(1.0, 1.0), pose(0.0, 1.0))
+    assert session.client.wait(sent) == ["succeeded"]
+    told = [message.feedback for message in sent.feedback]
+    remaining = [one.number_of_poses_remaining for one in told]
+    assert remaining == sorted(remaining, reverse=True) and {3, 2, 1} == set(remaining)
+    passed = [one.navigation_time.sec + 1e-9 * one.navigation_time.nanosec for one in told]
+    assert passed == sorted(passed) and passed[-1] > 5.0, "simulated seconds"
+    left = [one.estimated_time_remaining.sec + 1e-9 * one.estimated_time_remaining.nanosec
+            for one in told]
+    assert 1.0 < max(left) < 20.0
+    assert 0.5 < max(one.distance_remaining for one in told) < 5.0
+    places = np.array([pose_from_ros(one.current_pose)[:2] for one in told])
+    assert np.linalg.norm(places[-1] - (0.0, 1.0)) < np.linalg.norm(places[0] - (0.0, 1.0))
+    assert not any(one.number_of_recoveries for one in told)
+    assert told[0].distance_remaining > 2.5, "to the last one"
+
+
+@pytest.mark.slow
+def test_goal_off_the_floor_is_aborted_and_as_a_waypoint_missed(begun) -> None:
+    session = begun(floor="'[[-2, -2], [2, -2], [2, 2], [-2, 2]]'")  # a text in YAML
+    client, outside = session.client, pose(100.0, 100.0)
+    sent = client.send(outside)
+    assert client.wait(sent) == ["aborted"]
+    assert "gives up the goal: it is outside of the floor" in sent.reason
+    assert sent.result.result().result.error_code == 204
+    left = sent.feedback[-1].feedback
+    assert left.distance_remaining == pytest.approx(np.hypot(100.0, 100.0), abs=0.1)
+    assert left.estimated_time_remaining.sec > 100
+    sent = client.send(pose(0.4, 0.0), outside, pose(0.0, 0.0), name="follow_waypoints")
+    assert client.wait(sent) == ["succeeded"]
+    result = sent.result.result().result
+    assert [(one.index, one.error_code) for one in result.missed_waypoints] == [(1, 204)]
+    aimed_at = [one.feedback.current_waypoint for one in sent.feedback]
+    assert aimed_at == sorted(aimed_at) and set(aimed_at) == {0, 1, 2}
+
+
+@pytest.mark.slow
+def test_goal_that_cannot_be_followed_is_rejected_with_one_line(begun) -> None:
+    session = begun()
+    wrong, elsewhere = pose(1.0, 0.0), pose(1.0, 0.0)
+    wrong.pose.position.x = float("nan")
+    elsewhere.header.frame_id = "odom"
+    for poses, told in (
+        ((wrong,), "navigate_to_pose rejected: state: given"),
+        ((pose(1.0, 0.0), elsewhere), "navigate_through_poses rejected: frame: given"),
+    ):
+        assert not session.client.send(*poses).is_accepted
+        assert session.log("navigator").count(told) == 1
+    assert not session.client.send(pose(1.0, 0.0), tree="spin.xml").is_accepted
+    assert not session.client.send().is_accepted
+    assert session.client.wait(session.client.send(pose(0.5, 0.0))) == ["succeeded"]
+
+
+@pytest.mark.slow
+def test_goal_ends_once_where_the_controller_is_killed_and_is_not_followed_later(begun) -> None:
+    session = begun(controller_timeout=SILENCE)
+    controller, client = session.processes["controller"], session.client
+    for is_cancelled in (False, True):
+        sent = client.send(pose(-3.0 if is_cancelled else 3.0, 0.0))
+        session.moves()
+        controller.kill()
+        if is_cancelled:
+            assert client.cancel(sent)
+        assert client.wait(sent) == ["aborted"]
+        assert sent.reason == f"no status of the controller for {SILENCE:g} s"
+        controller.start()
+        session.graph.until(lambda: "continuing to the goal" in session.log("controller"))
+        session.graph.until(lambda: session.status()["mode"] == "no goal")
+        assert session.way_at_rest() < AT_REST
+    assert client.wait(client.send(pose(0.0, 0.0))) == ["succeeded"]
+
+
+@pytest.mark.slow
+def test_goal_goes_on_where_a_killed_controller_is_restarted(begun) -> None:
+    session = begun()
+    controller, client = session.processes["controller"], session.client
+    sent = client.send(pose(3.0, 0.0), pose(3.0, 1.0))
+    session.moves()
+    session.restart("controller")
+    assert client.wait(sent) == ["succeeded"]
+    assert np.linalg.norm(session.place - (3.0, 1.0)) < 0.02
+    # Cancelled while it is dead, the goal ends at rest as soon as that can be seen.
+    sent = client.send(pose(0.0, 0.0))
+    session.moves()
+    controller.kill()
+    assert client.cancel(sent)
+    controller.start()
+    assert client.wait(sent) == ["canceled"]
+    assert session.way_at_rest() < AT_REST
+
+
+@pytest.mark.slow
+def test_goal_is_aborted_where_the_simulator_is_killed(begun) -> None:
+    session = begun(no_progress_timeout=SILENCE)
+    sent = session.client.send(pose(3.0, 0.0))
+    session.moves()
+    session.processes["simulator"].kill()
+    assert session.client.wait(sent) == ["aborted"]
+    assert sent.reason.endswith(f", for {SILENCE:g} s")
+    session.processes["simulator"].start()
+    session.graph.until(lambda: session.status()["mode"] == "no goal")
+    assert session.client.wait(session.client.send(pose(0.5, 0.0))) == ["succeeded"]
+
+
+@pytest.mark.slow
+def test_killed_navigator_can_be_restarted_while_the_sphere_goes_on(begun) -> None:
+    session = begun()
+    navigator, client = session.processes["navigator"], session.client
+    client.send(pose(2.0, 0.0))
+    session.moves()
+    killed = client.navigators()
+    navigator.kill()
+    session.graph.until(lambda: session.status()["mode"] == "at the goal")
+    navigator.start()
+    session.graph.until(lambda: client.navigators() - killed)
+    # As long as the killed one is known it could be another that lives.
+    sent = client.send(pose(0.0, 0.0))
+    while not sent.is_accepted:
+        told = "rejected: navigators: given '/navigator, /navigator'"
+        assert told in session.log("navigator")
+        session.graph.until(lambda: len(client.navigators()) == 1)
+        sent = client.send(pose(0.0, 0.0))
+    session.moves()
+    # Ended by a signal, it does not leave a goal behind.
+    session.processes.stop("navigator")
+    assert client.wait(sent) == ["aborted"]
+    assert sent.reason == "the navigator has ended"
+    session.graph.until(lambda: session.status()["mode"] == "no goal")
+    assert session.way_at_rest() < AT_REST
+
+
+def test_missing_package_is_told_in_one_line(monkeypatch, tmp_path) -> None:
+    folder = str(navigation_messages.built())
+    monkeypatch.setattr("sys.path", [entry for entry in sys.path if entry != folder])
+    if importlib.machinery.PathFinder.find_spec(navigation_messages.PACKAGE) is not None:
+        pytest.skip("nav2_msgs is installed")
+    done = subprocess.run(
+        verb_command("navigator"), capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 1 and not done.stdout
+    (line,) = done.stderr.splitlines()
+    assert line.endswith("'nav2_msgs' is not installed; apt install ros-jazzy-nav2-msgs")

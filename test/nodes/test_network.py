@@ -1,0 +1,243 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Environment of nodes: unusable values, network reach, interfaces, and nodes of other users."""
+
+import ipaddress
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
+from ros_graph import Graph
+
+from sphere_nmpc.ros.guarded_node import LATCHED
+from sphere_nmpc.ros.messages import pose_to_ros
+from sphere_nmpc.ros.network import (
+    DISCOVERY_RANGE,
+    LOCALHOST_ONLY,
+    RosEnvironmentError,
+    apply_localhost_only,
+    avoid_shared_memory,
+    check_environment,
+    check_middleware,
+    network_addresses,
+    network_reach,
+    reaches_other_machines,
+    use_loopback_only,
+    wait_for_network,
+)
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux interfaces")
+root = pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="needs root")
+READING = ("--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search")
+"""Permission to read everywhere: interpreter and package may lie below a folder of root alone."""
+NOWHERE = "/proc/nonexistent"
+"""Folder that not even root can create."""
+PEERS = {"ROS_STATIC_PEERS": "10.0.0.7"}
+PROFILES = Path(__file__).parents[2] / "config" / "lossy_network.xml"
+RUN = (sys.executable, "-c", "import sys; from sphere_sim.cli.main import main; sys.exit(main())")
+
+
+def as_user(user: int) -> tuple[str, ...]:
+    """Return the beginning of a command that runs as a user; skip the test where it cannot."""
+    if os.geteuid() != 0 or shutil.which("setpriv") is None:
+        pytest.skip("needs root and setpriv, of util-linux, to become another user")
+    become = ("setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups")
+    for command in (become, (*become, *READING)):
+        use = [*command, sys.executable, "-c", "import sphere_nmpc.solver"]
+        if subprocess.run(use, capture_output=True, check=False).returncode == 0:
+            return command
+    pytest.skip("no other user can read this Python, and root may not grant it here")
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "expected"),
+    [
+        ("ROS_DOMAIN_ID", "233", "a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "010", "a whole number"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", "/absent.xml", "a file that can be read"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", __file__, "XML"),
+        ("ROS_STATIC_PEERS", "no/name", "names or addresses"),
+        ("ROS_LOG_DIR", NOWHERE, "a folder"),
+    ],
+)
+def test_error_names_the_variable_and_the_expected_value(name, given, expected) -> None:
+    with pytest.raises(RosEnvironmentError, match=f"{name}: given .*, expected {expected}"):
+        check_environment({name: given})
+
+
+def test_middleware_that_is_not_installed_is_refused() -> None:
+    with pytest.raises(RosEnvironmentError, match=r"given 'nonesuch', expected .*rmw_"):
+        check_middleware({"RMW_IMPLEMENTATION": "nonesuch"})
+    check_middleware({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
+    check_middleware({})
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{LOCALHOST_ONLY: "1", DISCOVERY_RANGE: "SUBNET"}, {DISCOVERY_RANGE: "localhost"}],
+)
+def test_localhost_is_applied_strictly_and_once(given) -> None:
+    expected: dict[str, str] = {}
+    use_loopback_only(expected)
+    for _ in range(2):  # again in a child process
+        apply_localhost_only(given)
+        use_loopback_only(given)
+        assert given == expected
+    assert network_reach({**given, "ROS_DOMAIN_ID": "3"}) == (
+        "ROS domain 3: reachable from this machine only, over the loopback"
+    )
+    assert not reaches_other_machines(given)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{DISCOVERY_RANGE: "SUBNET"}, {DISCOVERY_RANGE: "OFF"}, PEERS,
+     {"ROS_DISCOVERY_SERVER": "127.0.0.1:11811"}, {"FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}],
+)
+def test_explicit_discovery_settings_are_unchanged(given) -> None:
+    environment = dict(given)
+    use_loopback_only(environment)
+    apply_localhost_only(environment)
+    assert environment == given
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, "domain 0: reachable from every machine of the network; ROS_LOCALHOST_ONLY=1"),
+        ({"ROS_DOMAIN_ID": "7", DISCOVERY_RANGE: "SUBNET"}, "domain 7: reachable from every"),
+        ({DISCOVERY_RANGE: "LOCALHOST"}, "machine only; its ports are open on all interfaces"),
+        ({DISCOVERY_RANGE: "LOCALHOST", **PEERS}, "also from 10.0.0.7"),
+        ({"ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}, "discovery server 10.0.0.1:11811"),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}, "transports as in mine.xml"),
+    ],
+)
+def test_network_reach_names_the_deciding_setting(environment, expected) -> None:
+    assert expected in network_reach(environment)
+
+
+@linux
+def test_start_waits_for_an_interface_only_where_other_machines_are_named() -> None:
+    looks: list[int] = []
+
+    def addresses() -> frozenset[str]:
+        looks.append(1)
+        return frozenset({"10.0.0.1"} if len(looks) > 3 else ())
+
+    assert wait_for_network({}, addresses) == "" and not looks
+    assert wait_for_network(PEERS, addresses, PATIENCE) == "" and len(looks) == 4
+    message = wait_for_network(PEERS, frozenset, 0.1)
+    assert message.startswith("network: given ROS_STATIC_PEERS and no network interface")
+    assert message.endswith("restart it when the network is there")
+
+
+@linux
+def test_addresses_are_those_of_interfaces_in_operation() -> None:
+    running = {name for name, state in psutil.net_if_stats().items()
+               if state.isup and "running" in state.flags and "loopback" not in state.flags}
+    known = {end.address for name, ends in psutil.net_if_addrs().items() if name in running
+             for end in ends if end.family.name == "AF_INET"}
+    assert network_addresses() <= known
+    assert bool(network_addresses()) == bool(known)
+
+
+def test_udp_alone_is_used_unless_the_environment_selects_transports() -> None:
+    everywhere, here = {"ROS_DOMAIN_ID": "42"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    avoid_shared_memory(everywhere)
+    assert everywhere == {"ROS_DOMAIN_ID": "42", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    avoid_shared_memory(here)
+    assert "over the loopback" in network_reach(here)
+    chosen = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+    avoid_shared_memory(chosen)
+    assert chosen == {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+
+
+def controller(
+    environment: dict[str, str | None], within: tuple[str, ...] = ()
+) -> subprocess.Popen:
+    whole = os.environ | {"PYTHONUNBUFFERED": "1"} | environment
+    return subprocess.Popen(
+        [*within, *RUN, "controller"],
+        env={name: value for name, value in whole.items() if value is not None},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )
+
+
+@root
+@pytest.mark.slow
+def test_node_of_a_user_without_home_exchanges_messages_with_one_of_root(tmp_path) -> None:
+    graph, lines = Graph(), []
+    environment = {"ROS_LOG_DIR": None, "HOME": None, "SPHERE_NMPC_CACHE": str(tmp_path)}
+    tmp_path.chmod(0o777)
+    node = controller(environment, as_user(54321))  # who has no entry in the list of users
+    try:
+        while not lines or "reachable" not in lines[-1]:
+            lines.append(node.stderr.readline())
+            assert lines[-1], lines
+        confirmed = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
+        goals = graph.publisher(PoseStamped, "goal_pose")
+        goals.publish(pose_to_ros(PAPER_CASES[1].goal, 0, 0.3))
+        graph.until(lambda: confirmed)
+    finally:
+        graph.close()
+        node.terminate()
+        lines.append(node.communicate(timeout=PATIENCE)[1])
+    assert node.returncode == 0, lines
+    assert sum("log file: given ~/.ros/log" in line for line in lines) == 1
+
+
+def ports(process: psutil.Process) -> set[tuple[str, str, int]]:
+    """Return kind, address and port of all sockets of a process and its children."""
+    family = [process, *process.children(recursive=True)]
+    ends = [end for member in family for end in member.net_connections("inet")]
+    return {(end.type.name, end.laddr.ip, end.laddr.port) for end in ends if end.laddr}
+
+
+@linux
+@pytest.mark.slow
+def test_nodes_open_ports_on_the_loopback_only(tmp_path) -> None:
+    plain = {
+        name: value for name, value in os.environ.items()
+        if not name.startswith(("ROS_", "FAST")) or name == "ROS_DOMAIN_ID"
+    } | {LOCALHOST_ONLY: "1"}
+    commands = {"controller": (), "viewer": ("--port", "0")}
+    started = {
+        verb: subprocess.Popen([*RUN, verb, *arguments], env=plain, cwd=tmp_path,
+                               stdout=subprocess.DEVNULL)
+        for verb, arguments in commands.items()
+    }
+    nodes = {verb: psutil.Process(process.pid) for verb, process in started.items()}
+    # Fast DDS opens three at least: for discovery, for data, and one to send from.
+    wanted = {"controller": 3, "viewer": 4}
+    try:
+        end = time.monotonic() + PATIENCE
+        while any(len(ports(nodes[verb])) < wanted[verb] for verb in nodes):
+            assert time.monotonic() < end, {verb: ports(nodes[verb]) for verb in nodes}
+            time.sleep(0.1)
+        for verb, process in nodes.items():
+            found = ports(process)
+            assert all(ipaddress.ip_address(ip).is_loopback for _, ip, _ in found), (verb, found)
+    finally:
+        for process in started.values():
+            process.send_signal(signal.SIGINT)
+        for process in started.values():
+            process.wait(PATIENCE)
+
+
+def test_profiles_for_lossy_networks_are_understood_by_fast_dds() -> None:
+    environment = {**os.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILES)}
+    done = subprocess.run(
+        [*RUN, "goal", "1", "0", "--timeout", "0"], env=environment, capture_output=True,
+        text=True, timeout=PATIENCE, check=False,
+    )
+    assert "no controller was ready" in done.stderr
+    assert not done.stdout, "errors in profiles are printed there"

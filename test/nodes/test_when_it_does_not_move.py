@@ -1,0 +1,262 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes of a beginner are logged once, with cause and remedy, as documented."""
+
+import re
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import navigation_messages
+import pytest
+from action_msgs.msg import GoalStatusArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import (
+    Point32,
+    PolygonInstanceStamped,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+)
+from patience import LOCKSTEP
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from standing import Standing
+
+from sphere_nmpc.model.state import Vector, upright_state
+from sphere_nmpc.own_folder import cache_folder
+from sphere_nmpc.ros import graph_monitor
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.guarded_node import LATCHED
+from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.navigator.node import NavigatorNode
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan
+from sphere_sim.ros.recorder.node import RecorderNode
+from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.scenario.scenarios import PAPER_CASES
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "when_it_does_not_move.md"
+ROWS = re.findall(r"^\| ([^|]+?) \|", DOCUMENT.read_text(), re.MULTILINE)
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+CASE = PAPER_CASES[1]
+def pattern(words: str) -> re.Pattern[str]:
+    """Return the pattern of the log line that the row with these words documents."""
+    (row,) = (row for row in ROWS if words in row)
+    return re.compile(".*".join(map(re.escape, row.split("…"))))
+
+
+@pytest.fixture(autouse=True)
+def network(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(graph_monitor, "network_addresses", frozenset)
+    monkeypatch.setattr(graph_monitor, "reaches_other_machines", lambda: True)
+
+
+def controller(graph, **parameters) -> ControllerNode:
+    node = ControllerNode([Parameter(name, value=value) for name, value in parameters.items()])
+    graph.add(node)
+    return node
+
+
+def simulator(graph, **parameters) -> SimulatorNode:
+    node = SimulatorNode([Parameter(name, value=value) for name, value in parameters.items()])
+    graph.add(node)
+    return node
+
+
+def robot(
+    graph, stamp: Callable[[], float], qos: QoSProfile | int = 10,
+    measured: Callable[[int, int], tuple[Vector, int]] = lambda number, now: (CASE.start, now),
+) -> None:
+    """Publish pose and clock at 50 Hz with stamps [s].
+
+    `measured` returns a pose and its stamp [ns], given its number and the stamp now [ns].
+    """
+    poses = graph.probe.create_publisher(PoseStamped, "pose", qos)
+    clock = graph.probe.create_publisher(Clock, "/clock", 10)
+    numbers = count()
+
+    def send() -> None:
+        now = round(stamp() * 1e9)
+        pose, stamped = measured(next(numbers), now)
+        poses.publish(pose_to_ros(pose, stamped, 0.3))
+        clock.publish(Clock(clock=stamp_to_ros(now)))
+
+    graph.probe.create_timer(0.02, send)
+
+
+def forgotten_use_sim_time(graph) -> None:
+    simulator(graph)
+    controller(graph)
+
+
+def two_simulators(graph) -> None:
+    simulator(graph)
+    simulator(graph)
+    controller(graph, use_sim_time=True)
+
+
+def pose_sent_best_effort_in_lockstep(graph) -> None:
+    robot(graph, time.time, NEWEST)
+    controller(graph, use_sim_time=True, lockstep=True)
+
+
+def poses_without_a_stamp(graph) -> None:
+    robot(graph, time.time, measured=lambda number, now: (CASE.start, 0))
+    controller(graph)
+
+
+def poses_stamped_since_the_start_of_their_driver(graph) -> None:
+    poses, start = graph.probe.create_publisher(PoseStamped, "pose", 10), time.monotonic_ns()
+    graph.probe.create_timer(0.02, lambda: poses.publish(
+        pose_to_ros(CASE.start, 1 + time.monotonic_ns() - start, 0.3)
+    ))
+    controller(graph)
+
+
+def turning(number: int) -> Vector:
+    """Return a pose that differs from the one before."""
+    return upright_state(0.0, 0.0, 1e-3 * number)
+
+
+def coarse_clock(graph) -> None:
+    step = 50_000_000
+    robot(graph, time.time, measured=lambda number, now: (turning(number), now // step * step))
+    controller(graph)
+
+
+def bunches_that_are_stamped_when_passed_on(graph) -> None:
+    robot(graph, time.time, measured=lambda number, now: (
+        turning(number), (now // 200_000_000 - 1) * 200_000_000 + number % 8 * 300_000
+    ))
+    controller(graph)
+
+
+def frames_without_the_sphere(graph) -> None:
+    robot(graph, time.time, measured=lambda number, now: (
+        CASE.goal if number % 20 == 10 else CASE.start, now
+    ))
+    controller(graph)
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.start, 0, 0.3))
+
+
+class Slow(Standing):
+    """Strategy that takes longer than two periods of 50 Hz."""
+
+    def plan(self, situation: Situation) -> Plan:
+        time.sleep(0.05)
+        return super().plan(situation)
+
+
+def map_that_takes_long(graph) -> None:
+    robot(graph, time.time)
+    changes = controller(graph)._floor_receiver._changes
+    make = changes._make
+
+    def slow(given: Any, in_force: Any) -> Any:
+        time.sleep(2.0)
+        return make(given, in_force)
+
+    changes._make = slow
+    sender = graph.probe.create_publisher(PolygonInstanceStamped, "keepout", LATCHED)
+    area = PolygonInstanceStamped()
+    area.polygon.polygon.points = [Point32(), Point32(x=1.0), Point32(y=1.0)]
+    sender.publish(area)
+
+
+def cache_that_others_can_write(graph) -> None:
+    cache_folder().mkdir()
+    cache_folder().chmod(0o777)
+    controller(graph, goal_memory=30.0)
+
+
+def rate_beyond_the_machine(graph) -> None:
+    robot(graph, time.time)
+    node = controller(graph, control_rate=50.0)
+    node.controller._strategy = Slow()
+    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
+
+
+def lockstep_without_controller(graph) -> None:
+    simulator(graph, lockstep=True)
+
+
+def controller_without_lockstep(graph) -> None:
+    node = simulator(graph, **LOCKSTEP)
+    controller(graph, use_sim_time=True)
+    graph.until(lambda: node._controller_found and node._controllers.free_running)
+    node._simulated_clock._timeout = 0.0
+
+
+def robots_apart(graph) -> None:
+    simulator(graph, **{"robot.max_rotor_speed": 60.0})
+    controller(graph, use_sim_time=True)
+
+
+def recorder_without_the_namespace(graph) -> None:
+    graph.probe.create_publisher(PoseStamped, "/second/pose", 10)
+    node = RecorderNode([Parameter("record_on_start", value=False)])
+    graph.add(node)
+    node._missing._due = 0.0  # told at once
+
+
+def pose_of_another_type(graph) -> None:
+    graph.publisher_apart(PoseWithCovarianceStamped, "pose")
+    controller(graph)
+
+
+def recorded_status_of_another_type(graph) -> None:
+    graph.publisher_apart(PoseStamped, "controller/status")
+    graph.add(RecorderNode([Parameter("record_on_start", value=False)]))
+
+
+def two_navigators(graph) -> None:
+    navigation_messages.provide()
+    graph.add(NavigatorNode())
+    graph.probe.create_publisher(GoalStatusArray, "navigate_to_pose/_action/status", LATCHED)
+
+
+MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
+    forgotten_use_sim_time: ("controller", "in simulated time"),
+    two_simulators: ("controller", "/clock: given …"),
+    pose_sent_best_effort_in_lockstep: ("controller", "incompatible QoS"),
+    poses_stamped_since_the_start_of_their_driver: ("controller", "no simulated time"),
+    poses_without_a_stamp: ("controller", "no stamp"),
+    pose_of_another_type: ("controller", "other type on"),
+    recorded_status_of_another_type: ("recorder", "other type on"),
+    coarse_clock: ("controller", "clock that stamps them coarse"),
+    bunches_that_are_stamped_when_passed_on: ("controller", "not where bunches of them"),
+    frames_without_the_sphere: ("controller", "pose left out"),
+    map_that_takes_long: ("controller", "floor late"),
+    cache_that_others_can_write: ("controller", "goal not kept"),
+    rate_beyond_the_machine: ("controller", "missed samples"),
+    lockstep_without_controller: ("simulator", "time waits"),
+    controller_without_lockstep: ("simulator", "does not run in lockstep"),
+    robots_apart: ("simulator", "as in this node"),
+    two_navigators: ("navigator", "goals are rejected"),
+    recorder_without_the_namespace: ("recorder", "start this node with -r __ns"),
+}
+"""What a beginner does wrong, which node warns, and words of the row that documents it."""
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.__name__)
+def test_mistake_is_logged_once_as_documented(graph, capfd, mistake) -> None:
+    source, words = MISTAKES[mistake]
+    statuses = graph.collect(DiagnosticStatus, "controller/status")
+    mistake(graph)
+    printed: list[str] = []
+
+    def warnings() -> list[str]:
+        printed.append(capfd.readouterr().err)
+        lines = [line for line in "".join(printed).splitlines() if "[WARN]" in line]
+        return [line for line in lines if f"[{source}]" in line and pattern(words).search(line)]
+
+    graph.until(warnings)
+    graph.spin_for(0.6)
+    assert len(warnings()) == 1, "logged once"
+    if source == "controller":
+        # With its first fault in the message: on a busy machine perhaps another one.
+        graph.until(lambda: any(status.level != DiagnosticStatus.OK for status in statuses))

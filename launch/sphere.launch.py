@@ -4,17 +4,16 @@
 
 ros2 launch sphere_nmpc sphere.launch.py record:=true viewer:=true rviz:=true namespace:=second
 
-A wrong argument, a missing package, or nodes on the same topics that run already, are reported in
-one line, and nothing is started. A process that ends ends the launch, see `Ending`.
+An unknown argument, a missing package, or nodes on the same topics that run already, are reported
+in one line, and nothing is started. Values are passed on to the nodes, which refuse a wrong one in
+one line and end; a process that ends ends the launch, see `Ending`.
 """
 
 import os
-import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -39,17 +38,14 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
-from sphere_nmpc.child import module_command, python_command
-from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.child import module_command
+from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.foreign_file import InvalidFileError, find_file
-from sphere_nmpc.model.state import as_state, upright_state
+from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.ros.messages import WORLD_FRAME
-from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES
-from sphere_sim.output.error_text import how_to_install
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
-from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.viewer.source import DEFAULT_RADIUS
 from sphere_sim.world.settings import PLANTS
 
@@ -83,9 +79,6 @@ RESPAWN_DELAY = 2.0
 RESPAWN_MEMORY = 30.0
 """Time after its end within which a restarted controller continues to its goal [s]: the delay, and
 the start of a node on a slow machine."""
-MISSING = 3
-FINDS = f"import importlib.util as u; sys.exit(0 if u.find_spec(sys.argv[1]) else {MISSING})"
-"""Program whose exit code tells whether a Python package is installed."""
 ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
     "strategy": ("", ["", *STRATEGIES], "Strategy of the controller; empty: as in params_file"),
     "plant": ("", ["", *PLANTS], "Plant of the simulator; empty: as in params_file"),
@@ -125,37 +118,28 @@ def actions(context: LaunchContext) -> list:
     """Return the actions to start."""
     refuse_unknown(context.argv)
     value = {name: context.launch_configurations[name] for name in ARGUMENTS}
-    params = existing("params_file", value["params_file"])
+    params = existing_parameters(value["params_file"])
     # A file that includes this one may have pushed a namespace.
     outer = context.launch_configurations.get("ros_namespace", "")
-    place = valid_namespace(outer, value["namespace"])
+    inner = value["namespace"]
+    place = (inner if inner.startswith("/") else f"{outer}/{inner}").strip("/")
     prefix = {"frame_prefix": f"{place}/"} if place else {}
     clock = {"use_sim_time": follows_clock(value["clock"], value["use_sim_time"])}
-    with refusing("world_frame", value["world_frame"], "a name"):
-        frame = {"world_frame": FrameSettings(world_frame=value["world_frame"]).world_frame}
+    frame = {"world_frame": value["world_frame"]}
     simulator = {"clock": value["clock"], **frame, **prefix}
-    if plant := value["plant"]:
-        simulator["plant"] = plant
-    if pace := value["real_time_factor"]:
-        with refusing("real_time_factor", pace, "a number"):
-            settings = SimulatorNodeSettings(clock=value["clock"], real_time_factor=float(pace))
-        simulator["real_time_factor"] = settings.real_time_factor
+    simulator |= {name: value[name] for name in ("plant", "real_time_factor") if value[name]}
     if start := value["initial_state"]:
-        with refusing("initial_state", start, "numbers"):
-            simulator["initial_state"] = initial_state(start)
+        simulator["initial_state"] = initial_state(start)
     following = {**clock, **frame}
     controller = dict(following)
     if given := value["map"]:
-        simulator["map_file"] = controller["map_file"] = existing("map", given)
+        simulator["map_file"] = controller["map_file"] = given
     if strategy := value["strategy"]:
         controller["strategy"] = strategy
     record, viewer, shown, navigator, respawn = (
         value[name] in TRUE for name in ("record", "viewer", "rviz", "navigator", "respawn")
     )
     controller |= {"goal_memory": RESPAWN_MEMORY} if respawn else {}
-    needed = {"viewer:=true": "viser"} if viewer else {}
-    needed |= {"plant:=rigid_body": "mujoco"} if value["plant"] == "rigid_body" else {}
-    refuse_missing(needed)
     for argument, wanted, package in (("rviz", shown, "rviz2"), ("navigator", navigator, ACTIONS)):
         if wanted and not is_installed(package):
             remedy = f"apt install ros-jazzy-{package.replace('_', '-')}"
@@ -249,17 +233,6 @@ def is_this_file(package: str, file: str) -> bool:
     )
 
 
-def refuse_missing(needed: dict[str, str]) -> None:
-    """Refuse arguments that need a Python package which the nodes do not have."""
-    for argument, package in needed.items():
-        # The nodes may be in a virtual environment in which this process is not.
-        script = Path(get_package_prefix(PACKAGE), "lib", PACKAGE, PACKAGE)
-        python = script.read_text(encoding="utf-8").partition("\n")[0].removeprefix("#!").strip()
-        look = python_command(FINDS, package, python=python)
-        if subprocess.run(look, check=False).returncode == MISSING:
-            raise RuntimeError(f"{argument}: {how_to_install(package)} (for {python})")
-
-
 def refuse_other_nodes(place: str, clock: str) -> None:
     """Refuse to start beside nodes of this namespace that publish the same topics."""
     topics = [topic for topic in TOPICS if topic != "clock" or clock == "simulated"]
@@ -273,34 +246,12 @@ def refuse_other_nodes(place: str, clock: str) -> None:
         )
 
 
-@contextmanager
-def refusing(name: str, given: str, expected: str) -> Iterator[None]:
-    """Refuse a value that is none of its kind, or none that the nodes accept, in one line."""
-    try:
-        yield
-    except InvalidParameterError as error:
-        raise RuntimeError(str(error)) from None
-    except InvalidStateError as error:
-        raise RuntimeError(f"{name}: given {given}: {error}") from None
-    except ValueError:
-        raise RuntimeError(f"{name}: given {given}, expected {expected}") from None
-
-
-def existing(name: str, given: str) -> str:
-    """Return the absolute path of the file that an argument names."""
+def existing_parameters(given: str) -> str:
+    """Return the absolute path of the file of parameters; launch_ros would do without it."""
     try:
         return str(find_file(Path(given)))
     except InvalidFileError as error:
-        raise RuntimeError(f"{name}: {error}") from None
-
-
-def valid_namespace(outer: str, namespace: str) -> str:
-    """Return the whole namespace without slashes at its ends."""
-    place = (namespace if namespace.startswith("/") else f"{outer}/{namespace}").strip("/")
-    if place and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", place, re.ASCII):
-        expected = "letters, digits and _, not a digit first, with / between levels"
-        raise RuntimeError(f"namespace: given {namespace}, expected {expected}")
-    return place
+        raise RuntimeError(f"params_file: {error}") from None
 
 
 def follows_clock(clock: str, given: str) -> bool:
@@ -312,9 +263,11 @@ def follows_clock(clock: str, given: str) -> bool:
 
 def initial_state(text: str) -> list[float]:
     """Return the parameter of the simulator, which may be given as x, y and yaw."""
-    numbers = [float(word) for word in text.strip("[] ").replace(",", " ").split()]
-    state = upright_state(*numbers) if len(numbers) == 3 else as_state(numbers)
-    return state.tolist()
+    try:
+        numbers = [float(word) for word in text.strip("[] ").replace(",", " ").split()]
+        return upright_state(*numbers).tolist() if len(numbers) == 3 else numbers
+    except (ValueError, InvalidStateError) as error:
+        raise RuntimeError(f"initial_state: given {text}: {error}") from None
 
 
 def robot_description(params: str, place: str) -> str:
@@ -325,7 +278,7 @@ def robot_description(params: str, place: str) -> str:
     )
     done = subprocess.run(look, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(f"params_file: given {params}: {done.stderr.strip()}")
+        raise RuntimeError(f"robot of {params}: {done.stderr.strip()}")
     return done.stdout
 
 

@@ -59,10 +59,11 @@ _REACH = {
 }
 _POLL = 0.05
 """Interval between two looks at the interfaces [s]."""
-_GET_FLAGS, _GET_ADDRESS = 0x8913, 0x8915
-"""Requests SIOCGIFFLAGS and SIOCGIFADDR of netdevice(7)."""
-_LOOPBACK, _RUNNING = 0x8, 0x40
-"""Flags of an interface; one that is switched on is in operation (running) only with a carrier."""
+_INTERFACES = Path("/sys/class/net")
+_OPERATING = ("up", "unknown")
+"""States of an interface in operation, which is one with a carrier; tunnels know none."""
+_GET_ADDRESS = 0x8915
+"""Request SIOCGIFADDR of netdevice(7)."""
 
 
 class RosEnvironmentError(InvalidValueError):
@@ -216,15 +217,15 @@ def network_addresses() -> frozenset[str]:
 
     found = set()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-        for _, name in socket.if_nameindex():
-            request = struct.pack("16s24x", name.encode())
+        for state in _INTERFACES.glob("*/operstate"):
             try:
-                (flags,) = struct.unpack_from("H", fcntl.ioctl(control, _GET_FLAGS, request), 16)
-                address = fcntl.ioctl(control, _GET_ADDRESS, request)[20:24]
+                operates = state.read_text().strip() in _OPERATING
+                request = struct.pack("16s24x", state.parent.name.encode())
+                address = socket.inet_ntoa(fcntl.ioctl(control, _GET_ADDRESS, request)[20:24])
             except OSError:  # without an IPv4 address, or removed meanwhile
                 continue
-            if flags & _RUNNING and not flags & _LOOPBACK:
-                found.add(socket.inet_ntoa(address))
+            if operates and not _OWN.match(address):
+                found.add(address)
     return frozenset(found)
 
 

@@ -3,7 +3,6 @@
 """Stand-ins for launch that record what the launch file creates, where launch is not installed."""
 
 import sys
-import tempfile
 from collections.abc import Iterable, Sequence
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -49,11 +48,11 @@ class Made:
         return self.values[0]
 
 
-def _modules(installed: Iterable[str], prefix: str = "") -> dict[str, ModuleType]:
+def _modules(installed: Iterable[str]) -> dict[str, ModuleType]:
     def find(package: str) -> str:
         if package not in (*installed, "sphere_nmpc"):
             raise LookupError(package)
-        return prefix
+        return ""
 
     made = {name: type(name, (Made,), {}) for name in KNOWN}
     contents = {
@@ -79,25 +78,20 @@ def _modules(installed: Iterable[str], prefix: str = "") -> dict[str, ModuleType
 def started(
     *words: str, installed: Iterable[str] = (), pushed: str = "",
     command: Sequence[str] = ON_COMMAND_LINE, looks: bool = False,
-    python: str | Path = sys.executable,
 ) -> list[Made]:
     """Return what the launch file starts, given launch arguments as ``name:=value``.
 
-    `installed` are ROS packages besides this one, `pushed` is the namespace of an including file,
-    `command` are the words before the arguments, and `python` is the interpreter of the nodes.
-    With `looks` the file looks for other nodes, Python packages and the parameters of the robot,
-    each by a process that takes a second. A refused argument is a `RuntimeError`.
+    `installed` are ROS packages besides this one, `pushed` is the namespace of an including file
+    and `command` are the words before the arguments. With `looks` the file looks for other nodes
+    and the parameters of the robot, each by a process that takes a second. A refused argument is a
+    `RuntimeError`.
     """
-    with tempfile.TemporaryDirectory() as prefix, patch.dict(
-        sys.modules, _modules(installed, prefix)
-    ), patch.object(sys, "argv", [*command, *words]):
-        executable = Path(prefix, "lib", "sphere_nmpc", "sphere_nmpc")
-        executable.parent.mkdir(parents=True)
-        executable.write_text(f"#!{python}\n")
+    with patch.dict(sys.modules, _modules(installed)), patch.object(
+        sys, "argv", [*command, *words]
+    ):
         file = _loaded()
         if not looks:
             file.refuse_other_nodes = lambda place, clock: None
-            file.refuse_missing = lambda needed: None
             file.robot_description = lambda params, place: URDF.read_text("utf-8")
         *declared, function = file.generate_launch_description()
         given = dict(word.split(":=", 1) for word in words)

@@ -26,14 +26,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.schedule import (
-    Actions,
-    ClockedSchedule,
-    LockstepSchedule,
-    PlanRequest,
-    Schedule,
-    TimedPose,
-)
+from sphere_nmpc.control.schedule import LockstepSchedule, PlanRequest, Schedule, TimedPose
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
@@ -91,10 +84,8 @@ class ControllerNode(RunnableNode):
         self.parameters.warn_of_unknown()
         self.add_on_set_parameters_callback(self._refuse)
         self._control_clock = ControlClock(self, self._clock_jumped, not settings.lockstep)
-        self._schedule: Schedule = (
-            LockstepSchedule(settings) if settings.lockstep
-            else ClockedSchedule(settings, self._control_clock.watch)
-        )
+        schedule = LockstepSchedule if settings.lockstep else Schedule
+        self._schedule = schedule(settings, self._control_clock.watch)
         # Before anything is planned, and before there is a process that would have to be ended.
         self._floor_receiver = FloorReceiver(
             self, floor, robot.shell_radius, self._frame,
@@ -164,7 +155,7 @@ class ControllerNode(RunnableNode):
         self._save_goal()
         self.controller.enabled = False
         if now is not None:
-            self._plan(self._schedule.final_request(now))
+            self._plan(self._schedule.request(now))
             self._sender.send_final_ramp(now)
         self._stored_goal.close()
 
@@ -226,42 +217,47 @@ class ControllerNode(RunnableNode):
         now = self._control_clock.steady_now()
         if now is not None:
             self._schedule.window = self.controller.rotor_feedback.window
-            self._carry_out(self._schedule.tick(now))
+            self._plan_instant(now)
+
+    def _plan_instant(self, now: float) -> None:
+        """Plan for the sampling instant that is due at control time `now` [s]."""
+        schedule, pose = self._schedule, self._schedule.kept
+        if pose is not None:
+            if schedule.is_ahead(pose, now):
+                self._monitor.pose_refused(pose.time - now, self._settings.pose_timeout)
+            else:
+                self.controller.observe(pose.time, pose.state)
+        self._plan(schedule.tick(now))
 
     def _start(self, now: float | None) -> bool:
         """Plan immediately if the rotors are at rest and there is a goal to start for.
 
         `now` is control time [s], None where it is not known. Return whether a plan was made.
         """
-        actions = None
-        if now is not None:
-            actions = self._schedule.start(now, self.controller.awaits_start)
-        if actions is not None:
-            self._begin_grid(actions)
-        return actions is not None
+        starts = now is not None and self._schedule.may_start and self.controller.awaits_start(now)
+        if starts:
+            self._restart(now)
+        return starts
 
-    def _begin_grid(self, actions: Actions) -> None:
-        """Carry out the first actions of a new grid of sampling instants."""
+    def _restart(self, now: float) -> None:
+        """Plan immediately, which begins a new grid of sampling instants."""
         if self._timer is not None:
             self._timer.reset()
-        self._carry_out(actions)
+        self._schedule.restart()
+        self._plan_instant(now)
 
-    def _carry_out(self, actions: Actions) -> None:
-        if actions.refused is not None:
-            self._monitor.pose_refused(actions.refused, self._settings.pose_timeout)
-        if actions.observe is not None:
-            self.controller.observe(actions.observe.time, actions.observe.state)
-        if actions.repeat:
-            self._sender.repeat()
-        if actions.plan is not None:
-            self._plan(actions.plan)
+    def _stop(self) -> None:
+        """Plan a stop immediately, rather than at the next sampling instant."""
+        now = self._control_clock.steady_now()
+        if now is not None and self._schedule.is_real_time:
+            self._plan(self._schedule.request(now))
 
     def _plan(self, request: PlanRequest) -> None:
         began, schedule, epoch = time.perf_counter(), self._schedule, self._control_clock.epoch
         controller = self.controller
         decision = controller.decide(request.instant, request.time_budget)
         starts = schedule.command_time(request, time.perf_counter() - began)
-        hold = schedule.command(request, controller.commit(decision, starts))
+        hold = controller.commit(decision, starts) or schedule.answer(request)
         if hold is not None:
             seldom = schedule.is_real_time and self._period > _SELDOM
             repeated = seldom and controller.rotor_feedback.shows_link
@@ -277,16 +273,17 @@ class ControllerNode(RunnableNode):
         """Plan immediately when a search has ended, rather than at the next sampling instant."""
         now = self._control_clock.steady_now()
         if now is not None and self.controller.is_due(now + self._schedule.window):
-            self._begin_grid(self._schedule.restart(now))
+            self._restart(now)
         if not self.controller.searches:
             self._found_timer.cancel()
 
     def _receive_pose(self, message: bytes) -> None:
-        now = self._control_clock.steady_now()
+        schedule = self._schedule
+        now = self._control_clock.steady_now() if schedule.is_real_time else None
         try:
             stamp = header_stamp(message)
             measured = self._control_clock.time_of(stamp)
-            age = self._schedule.pose_age(measured, now)
+            age = math.nan if now is None else now - measured
             self._monitor.pose_received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
             pose = TimedPose(stamp, measured, pose_of_message(message, self._frame))
@@ -294,10 +291,14 @@ class ControllerNode(RunnableNode):
         except InvalidStateError as error:
             self._fault_log.report("pose refused", str(error))
             return
-        actions = self._schedule.pose_received(pose, now)
-        self._carry_out(actions)
-        if actions.observe is not None and self._schedule.starting:
-            self._start(now)
+        if stamp == schedule.answered:
+            self._sender.repeat()
+        elif schedule.pose_received(pose, now):
+            self.controller.observe(pose.time, pose.state)
+            if not schedule.is_real_time:
+                self._plan(schedule.request(pose.time))
+            elif schedule.starting:
+                self._start(now)
 
     def _use_floor(self, floor: Floor | None) -> None:
         self.controller.floor = floor
@@ -328,7 +329,7 @@ class ControllerNode(RunnableNode):
         was_in_force = self.controller.cancel()
         self._stored_goal.supersede()
         self._save_goal()
-        self._carry_out(self._schedule.disabled(self._control_clock.steady_now()))
+        self._stop()
         response.success = True
         response.message = (
             "cancelled, the sphere stops" if was_in_force else "no goal was in force"
@@ -339,9 +340,9 @@ class ControllerNode(RunnableNode):
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.controller.enabled = request.data
         if request.data:
-            self._schedule.enabled()
+            self._schedule.goal_changed()
         else:
-            self._carry_out(self._schedule.disabled(self._control_clock.steady_now()))
+            self._stop()
         response.success = True
         response.message = "enabled" if request.data else "disabled, the sphere stops"
         self._event_log.report("enable", response.message)

@@ -8,21 +8,19 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.schedule import (
-    NOTHING,
     PLANNING_SHARE,
-    ClockedSchedule,
+    LockstepSchedule,
     PlanRequest,
+    Schedule,
     TimedPose,
 )
 from sphere_nmpc.control.timing import ClockWatch
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import ControllerSettings
 
 PERIOD = 0.5
 SHARE = PLANNING_SHARE * PERIOD
 STATE = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 PAPER = ControllerSettings(strategy="paper")
-HOLD = FirstOrderHold.constant(1.0, np.ones(2))
 
 
 def pose(time: float) -> TimedPose:
@@ -37,22 +35,17 @@ def watched(pace: float, until: float) -> ClockWatch:
     return watch
 
 
-def always(_: float) -> bool:
-    return True
+def requests(schedule: Schedule, *times: float) -> list[PlanRequest]:
+    return [schedule.tick(time) for time in times]
 
 
-def requests(schedule: ClockedSchedule, *times: float) -> list[PlanRequest]:
-    made = [schedule.tick(time).plan for time in times]
-    return [request for request in made if request is not None]
-
-
-def instants(schedule: ClockedSchedule, *times: float) -> list[float]:
+def instants(schedule: Schedule, *times: float) -> list[float]:
     return [request.instant for request in requests(schedule, *times)]
 
 
 @pytest.fixture
-def schedule() -> ClockedSchedule:
-    return ClockedSchedule(PAPER, ClockWatch(simulated=False))
+def schedule() -> Schedule:
+    return Schedule(PAPER, ClockWatch(simulated=False))
 
 
 def test_late_ticks_plan_for_their_instants_and_for_what_is_left_of_their_share(schedule) -> None:
@@ -68,49 +61,37 @@ def test_plan_is_made_for_when_its_command_will_be_ready(schedule) -> None:
     requests(schedule, 1.0, 1.55)
     schedule.completed(0.04, solved=True)
     schedule.window = 0.1
-    (request,) = requests(schedule, 2.05)
+    request = schedule.tick(2.05)
     assert request.instant == pytest.approx(2.0 + 1.25 * 0.09 + 0.1)
     assert request.time_budget == pytest.approx(SHARE - 0.05), "counted from the instant itself"
 
 
-def test_pose_is_observed_when_it_arrives_or_refused_while_it_is_ahead_of_the_clock(
-    schedule,
-) -> None:
+def test_pose_is_observed_when_it_arrives_or_kept_while_it_is_ahead_of_the_clock(schedule) -> None:
     now, ahead = pose(1.0), pose(3.0)
-    assert schedule.pose_received(now, 1.01).observe is now
-    assert schedule.pose_age(1.0, 1.01) == pytest.approx(0.01)
-    assert schedule.pose_received(now, None) == NOTHING, "the clock is not known"
-    assert math.isnan(schedule.pose_age(1.0, None))
-    assert schedule.pose_received(ahead, 1.0) == NOTHING
-    actions = schedule.tick(2.9)
-    assert actions.observe is ahead and actions.refused is None
-    assert actions.plan is not None
-    assert schedule.tick(3.4).observe is None, "once"
-    schedule.pose_received(pose(6.0), 3.5)
-    actions = schedule.tick(4.5)
-    assert actions.refused == pytest.approx(1.5) and actions.observe is None
-    assert actions.plan is not None, "the tick is not lost"
-    assert schedule.tick(5.0).refused is None
+    assert schedule.pose_received(now, 1.01)
+    assert not schedule.pose_received(now, None), "the clock is not known"
+    assert schedule.kept is None
+    assert not schedule.pose_received(ahead, 1.0)
+    assert schedule.kept is ahead
+    assert schedule.is_ahead(ahead, 2.4) and not schedule.is_ahead(ahead, 2.9)
+    requests(schedule, 2.9)
+    assert schedule.kept is None, "for one tick"
     schedule.change(ControllerSettings(strategy="paper", pose_timeout=5.0))
-    assert schedule.pose_received(ahead, 1.0).observe is ahead
+    assert schedule.pose_received(ahead, 1.0)
 
 
 def test_goal_starts_a_new_grid_until_a_plan_towards_it_is_solved(schedule) -> None:
     assert instants(schedule, 1.0, 1.5) == pytest.approx([1.0, 1.5])
-    assert schedule.start(1.7, lambda now: now != 1.7) is None, "no goal, or not at rest"
-    actions = schedule.start(1.7, lambda now: now == 1.7)
-    assert actions is not None and actions.plan is not None
-    assert actions.plan.instant == pytest.approx(1.7)
-    assert instants(schedule, 2.2, 2.7) == pytest.approx([2.2, 2.7])
+    assert schedule.may_start
+    schedule.restart()
+    assert instants(schedule, 1.7, 2.2, 2.7) == pytest.approx([1.7, 2.2, 2.7])
     assert schedule.missed == 0
     schedule.completed(0.0, solved=False)
-    assert schedule.start(3.0, always) is not None
+    assert schedule.may_start
     schedule.completed(0.0, solved=True)
-    assert schedule.start(3.1, always) is None
-    for event in (schedule.enabled, schedule.goal_changed):
-        event()
-        assert schedule.start(3.2, always) is not None
-        schedule.completed(0.0, solved=True)
+    assert not schedule.may_start
+    schedule.goal_changed()
+    assert schedule.may_start
 
 
 def test_jump_of_the_clock_begins_a_new_grid_and_drops_the_pose_that_was_kept(schedule) -> None:
@@ -118,13 +99,34 @@ def test_jump_of_the_clock_begins_a_new_grid_and_drops_the_pose_that_was_kept(sc
     schedule.pose_received(pose(9.0), 7.0)
     schedule.completed(0.0, solved=True)
     schedule.clock_jumped(watched(5.0, until=0.3))
-    actions = schedule.tick(0.3)
-    assert actions.observe is None and actions.refused is None
-    assert actions.plan is not None and actions.plan.instant == pytest.approx(0.3)
-    assert actions.plan.time_budget == pytest.approx(SHARE / 5.0), "on the clock followed now"
-    assert schedule.command_time(actions.plan, 0.02) == pytest.approx(0.4)
+    assert schedule.kept is None
+    (request,) = requests(schedule, 0.3)
+    assert request.instant == pytest.approx(0.3)
+    assert request.time_budget == pytest.approx(SHARE / 5.0), "on the clock followed now"
+    assert schedule.command_time(request, 0.02) == pytest.approx(0.4)
     assert schedule.missed == 0
-    assert schedule.start(0.4, always) is not None
+    assert schedule.may_start
+
+
+def test_start_waits_for_the_pace_of_the_clock() -> None:
+    assert not Schedule(PAPER, ClockWatch(simulated=True)).may_start
+    assert Schedule(PAPER, watched(1.0, until=0.3)).may_start
+
+
+def test_lockstep_plans_once_for_each_pose_of_a_sampling_instant() -> None:
+    schedule = LockstepSchedule(PAPER, ClockWatch(simulated=True, has_pace=False))
+    assert schedule.timer_period is None
+    assert not schedule.pose_received(pose(0.6), None), "between two instants"
+    assert schedule.pose_received(pose(0.5), None)
+    assert schedule.answered == pose(0.5).stamp
+    request = schedule.request(0.5)
+    assert request == PlanRequest(0.5, 0.5, math.inf)
+    assert schedule.command_time(request, 10.0) == 0.5
+    rest = schedule.answer(request)
+    assert rest.start == 0.5 and not rest.speeds.any()
+    schedule.goal_changed()
+    assert schedule.answered is None and not schedule.may_start
+    assert "in lockstep" in str(schedule.refusal(ControllerSettings(strategy="time_optimal")))
 
 
 def test_other_control_period_begins_a_new_grid_and_other_settings_keep_it(schedule) -> None:
@@ -138,5 +140,4 @@ def test_other_control_period_begins_a_new_grid_and_other_settings_keep_it(sched
     made = requests(schedule, 1.7, 1.95)
     assert [request.instant for request in made] == pytest.approx([1.7, 1.95])
     assert made[0].time_budget == pytest.approx(PLANNING_SHARE * 0.25)
-    assert schedule.command(made[0], None) is None
-    assert schedule.command(made[0], HOLD) is HOLD
+    assert schedule.answer(made[0]) is None, "nothing is sent"

@@ -30,10 +30,9 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_sim.ros.session.child_process import parameter_options
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner
-from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.process_set import ProcessSet, parameter_options
 from sphere_sim.ros.session.serving import serve_until
 
 PATIENCE = 600.0

@@ -20,7 +20,7 @@ from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import styled
-from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.session.process_set import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 STRATEGIES = ("paper", "time_optimal")

@@ -3,6 +3,7 @@
 """Worker in a process of its own, so that its work never holds the interpreter of the loop."""
 
 import os
+import signal
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import Child
+from sphere_nmpc.child import Child, module_command
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
 _MOST_PENDING = 8
@@ -55,7 +56,7 @@ class WorkerProcess:
     @property
     def pid(self) -> int:
         """Id of the present process; 0 while there is none."""
-        return 0 if self._child is None else self._child.process.pid
+        return 0 if self._child is None else self._child.pid
 
     def submit(self, task: Task[Result]) -> Reply[Result]:
         """Send a task to the process; see `Worker.submit`."""
@@ -116,7 +117,7 @@ class WorkerProcess:
         self._started = float("inf")
         self._fail("the worker is closed")
         if self._child is not None:
-            self._child.end(_LONGEST_END)
+            self._child.stop(_LONGEST_END)
             self._child = None
 
     def _start(self) -> None:
@@ -125,7 +126,8 @@ class WorkerProcess:
         self._patience = _FIRST_PATIENCE
         self._used = None
         try:
-            self._child = Child("sphere_nmpc.worker.serve")
+            command = module_command("sphere_nmpc.worker.serve")
+            self._child = Child(command, with_channel=True).start()
             self._child.channel.never_wait()
         except OSError as error:
             self._on_fault(f"worker not started: {error}")
@@ -151,8 +153,7 @@ class WorkerProcess:
         if self._child is not None:
             # Without waiting for its end, which takes some milliseconds.
             self._child.channel.close()
-            self._child.process.kill()
-            self._child.process.poll()
+            self._child.send(signal.SIGKILL)
             self._child = None
         self._restart()
 

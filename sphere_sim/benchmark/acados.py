@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """acados as a benchmarked solver, in a process of another Python.
 
-Its wheels contain a `casadi` that the other solvers cannot use. Messages are arrays of float64. A
-request is ``[start, state (6), goal (6), input in force (2)]`` in m, quaternion and rad/s, where
-`start` is 1 at the start of a run; an answer is ``[status, wall [s], processor time [s], v (2)]``.
-Before the first answer comes a line of text: empty, or the reason why acados cannot be set up.
+Its wheels contain a `casadi` that the other solvers cannot use. A request is state, goal, both of
+shape (6,), input in force, (2,) [rad/s], and whether a run starts; an answer is acados' status,
+wall and processor time [s], and the next inputs, (2,) [LIMIT]. Arrays are sent as lists, as the
+other Python may have another version of NumPy. The first answer is text: empty, or the reason why
+acados cannot be set up.
 """
 
+import contextlib
 import ctypes
 import gc
 import importlib
@@ -25,7 +27,8 @@ import casadi as ca
 import numpy as np
 
 import sphere_sim
-from sphere_nmpc.child import python_command
+from sphere_nmpc.channel import Channel, ChannelEndError, encoded
+from sphere_nmpc.child import Child, python_command
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
 from sphere_sim.benchmark.problem import (
     HORIZON,
@@ -37,7 +40,6 @@ from sphere_sim.benchmark.problem import (
     predicted,
 )
 
-REQUEST_SIZE, ANSWER_SIZE = 1 + 2 * POSE_SIZE + INPUT_SIZE, 3 + INPUT_SIZE
 SQP, RTI = "sqp", "rti"
 _OPTIONS: dict[str, dict[str, Any]] = {
     SQP: {"nlp_solver_type": "SQP", "qp_solver": "FULL_CONDENSING_QPOASES",
@@ -52,11 +54,12 @@ HOW_TO_GET_IT = (
 # Last on the path: other packages in this folder must not hide those of that Python.
 _CHILD = (
     "sys.path.append(sys.argv[1]); "
-    "from sphere_sim.benchmark.acados import serve; serve(sys.argv[2])"
+    "from sphere_sim.benchmark.acados import serve; serve(sys.argv[2], int(sys.argv[3]))"
 )
 _PACKAGES = str(Path(sphere_sim.__file__).parents[1])
 _HARMFUL = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 """Variables by which another Python loads wrong libraries."""
+_SILENT = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
 class Acados:
@@ -69,41 +72,35 @@ class Acados:
     def __init__(self, kind: str, python: str | None) -> None:
         if python is None:
             raise ModuleNotFoundError(HOW_TO_GET_IT)
+        command = python_command(_CHILD, _PACKAGES, kind, python=python)
+        environment = {name: text for name, text in os.environ.items() if name not in _HARMFUL}
+        child = Child(command, with_channel=True, env=environment, **_SILENT)
         try:
-            child = subprocess.Popen(
-                python_command(_CHILD, _PACKAGES, kind, python=python),
-                env={name: text for name, text in os.environ.items() if name not in _HARMFUL},
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            )
+            self._channel = child.start().channel
         except OSError as error:
             raise RuntimeError(f"{python} does not start: {error.strerror}") from error
-        if child.stdin is None or child.stdout is None:
-            raise RuntimeError(f"{python}: started without pipes")
-        self._requests, self._answers = child.stdin, child.stdout
-        # The process ends with its standard input, hence also when this process ends.
-        self.close = weakref.finalize(self, child.communicate)
-        message = self._answers.readline().decode(errors="replace")
-        if message != "\n":
-            raise RuntimeError(f"{python}: {message.strip() or 'ended without an answer'}")
+        self.close = weakref.finalize(self, child.stop)
+        try:
+            message = self._channel.receive()
+        except ChannelEndError:
+            message = "ended without an answer"
+        if message:
+            raise RuntimeError(f"{python}: {message}")
 
     def start(self, goal: Vector) -> None:
         """Start a run without a warm start; see `BenchmarkedSolver`."""
-        self._goal, self._start = goal, 1.0
+        self._goal, self._starts = goal, True
 
     def solve(self, state: Vector, input_in_force: Vector) -> Answer:
         """Return the next rotor speeds; see `BenchmarkedSolver`."""
-        request = np.concatenate(([self._start], state, self._goal, input_in_force))
-        self._start = 0.0
+        request = state.tolist(), self._goal.tolist(), input_in_force.tolist(), self._starts
+        self._starts = False
         try:
-            self._requests.write(request.tobytes())
-            self._requests.flush()
-            data = self._answers.read(8 * ANSWER_SIZE)
-        except OSError:
-            data = b""
-        if len(data) != 8 * ANSWER_SIZE:
-            raise RuntimeError("acados' process has ended")
-        status, wall, cpu, *v = np.frombuffer(data)
-        return Answer(LIMIT * np.clip(v, -1.0, 1.0), bool(status == 0), (float(wall), float(cpu)))
+            self._channel.send(encoded(request))
+            status, wall, cpu, v = self._channel.receive()
+        except ChannelEndError as error:
+            raise RuntimeError("acados' process has ended") from error
+        return Answer(LIMIT * np.clip(v, -1.0, 1.0), status == 0, (wall, cpu))
 
 
 def acados_makers(python: str | None) -> dict[str, Maker]:
@@ -210,29 +207,24 @@ class Loop:
         return status, inputs[0]
 
 
-def serve(kind: str) -> None:
-    """Answer requests on the standard input until it ends."""
-    # What acados prints must not mix with the answers, nor its questions read the requests.
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb", buffering=0)
-    null = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1):
-        os.dup2(null, stream)
-    with tempfile.TemporaryDirectory() as folder:
+def serve(kind: str, descriptor: int) -> None:
+    """Answer the requests of a channel until it is closed."""
+    channel = Channel.inherited(descriptor)
+    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(ChannelEndError):
         os.chdir(folder)
         try:
             loop = Loop(build(kind, Path(folder)))
         except BaseException as error:
             # acados raises SystemExit where one of its programs is missing.
-            answers.write(" ".join(f"{type(error).__name__}: {error}".split()).encode() + b"\n")
+            channel.send(encoded(" ".join(f"{type(error).__name__}: {error}".split())))
             sys.exit(1)
-        answers.write(b"\n")
+        channel.send(encoded(""))
         gc.disable()  # as in `sphere_sim.benchmark.closed_loops`
-        while len(data := requests.read(8 * REQUEST_SIZE)) == 8 * REQUEST_SIZE:
-            start, state, goal, in_force = np.split(np.frombuffer(data), (1, 7, 13))
-            if start[0]:
-                loop.start(state, goal)
+        while True:
+            state, goal, in_force, starts = channel.receive()
+            if starts:
+                loop.start(np.array(state), np.array(goal))
             wall, cpu = time.perf_counter(), time.thread_time()
-            status, v = loop.solve(state, in_force)
+            status, v = loop.solve(np.array(state), np.array(in_force))
             cpu, wall = time.thread_time() - cpu, time.perf_counter() - wall
-            answers.write(np.array([status, wall, cpu, *v]).tobytes())
-        os.chdir("/")
+            channel.send(encoded((int(status), wall, cpu, v.tolist())))

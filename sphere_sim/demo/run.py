@@ -15,13 +15,13 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from ruamel.yaml import YAML
 
+from sphere_nmpc.child import Child
 from sphere_nmpc.model.state import angle_error, position_error
 from sphere_sim.demo.plan import HOLD, DemoPlan
 from sphere_sim.demo.results import hints_of, write_results
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.output.live_display import LiveDisplay
 from sphere_sim.recording.message_fields import number
-from sphere_sim.ros.session.child_process import ChildProcess
 from sphere_sim.ros.session.demo_session import DemoSession
 from sphere_sim.ros.session.goal_run import wait_until_settled
 from sphere_sim.ros.session.process_set import ProcessSet
@@ -77,7 +77,7 @@ def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
     return arrived
 
 
-def _page(viewer: ChildProcess, console: Console) -> str:
+def _page(viewer: Child, console: Console) -> str:
     """Print and return the address of the viewer's page; empty if it does not appear in time."""
     end = time.monotonic() + _PAGE_TIMEOUT
     while time.monotonic() < end:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import Child, end_with_parent
+from sphere_nmpc.child import Child, module_command, stop_together
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.library_threads import limit_library_threads
@@ -128,11 +128,12 @@ class Workers(contextlib.ExitStack):
                     raise WorkersError(f"{what} {name} cannot be read: {error}") from None
                 except ChannelEndError:
                     deaths[name] += 1
-                    reason = self._children.pop(channel).end()
+                    dead = self._children.pop(channel)
+                    dead.kill()
                     if deaths[name] == TRIES:
                         raise WorkersError(
-                            f"{what} {name}: its process died {TRIES} times ({reason}); is there "
-                            "enough memory? The same command continues from what was made"
+                            f"{what} {name}: its process died {TRIES} times ({dead.ending}); is "
+                            "there enough memory? The same command continues from what was made"
                         ) from None
                     waiting.appendleft(task)
                     continue
@@ -145,7 +146,7 @@ class Workers(contextlib.ExitStack):
     def _start(self) -> Channel:
         """Return the channel to a new process."""
         try:
-            child = Child(__name__, str(os.getpid()), own_session=True)
+            child = Child(module_command(__name__), with_channel=True).start()
         except OSError as error:
             raise WorkersError(
                 f"process {len(self._children) + 1} of {self._jobs} cannot be started "
@@ -155,10 +156,8 @@ class Workers(contextlib.ExitStack):
         return child.channel
 
     def _end(self) -> None:
-        for child in self._children.values():
-            child.process.kill()  # all at the same time
-        while self._children:
-            self._children.popitem()[1].end()
+        stop_together(list(self._children.values()), 0.0)
+        self._children.clear()
 
 
 def _run_on_cluster(
@@ -249,11 +248,7 @@ async def _find_scheduler(address: str) -> None:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Make the calls of the parent until it ends: the program of a process.
-
-    The arguments are the file descriptor of the channel and the id of the parent.
-    """
-    end_with_parent(int(argv[1]))
+    """Make the calls of the parent, given the descriptor of the channel, until it is closed."""
     limit_library_threads()
     # Warnings come once, from the parent.
     _log.setLevel(logging.ERROR)

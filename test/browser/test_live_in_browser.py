@@ -14,8 +14,9 @@ pytest.importorskip("viser")
 from browser import page_of, pixel, scene_of, wait_for_red, wait_for_scene
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from verb_process import start, stop
+from verb_process import start
 
+from sphere_nmpc.child import stop_together
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.messages import pose_from_ros
 
@@ -80,6 +81,6 @@ def test_page_shows_the_robot_and_its_requests_reach_the_nodes(graph, page, tmp_
         assert page.console == []
         assert [url for url in page.requested if not OWN.match(url)] == []
     finally:
-        stop([simulator, *others])
+        stop_together([simulator, *others])
         for log in sorted(tmp_path.glob("*.log")):  # shown where a test failed
             print(f"{log.name}:\n{log.read_text(errors='replace')[-3000:]}")

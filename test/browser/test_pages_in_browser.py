@@ -12,8 +12,9 @@ pytest.importorskip("viser")
 from browser import Browser, page_of, pixel, scene_of, wait_for_scene
 from pages import Script
 from recorded_bags import rolling_messages, write_own
-from verb_process import start, stop
+from verb_process import start
 
+from sphere_nmpc.child import stop_together
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import make_state
 from sphere_sim.cli.report import main
@@ -70,7 +71,7 @@ def test_recording_plays_to_its_end_seeks_and_continues(page, tmp_path) -> None:
         page.wait_for("recording, stopped")
         assert page.console == []
     finally:
-        stop([viewer])
+        stop_together([viewer])
 
 
 def test_walls_are_drawn_where_the_floor_is_occupied_and_go_with_it(page, tmp_path) -> None:

@@ -49,12 +49,10 @@ def failing(kind: type, mode_file: Path) -> type:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the controller node, given the id of the parent, the file of the mode, and its own."""
-    from sphere_nmpc.child import end_with_parent
+    """Run the controller node, given the file of the mode, and its own arguments."""
     from sphere_nmpc.ros.controller.node import main as run_controller
 
-    parent, mode_file, *rest = arguments
-    end_with_parent(int(parent))
+    mode_file, *rest = arguments
     # In the table of strategies, as any other strategy is.
     for name, entry in STRATEGIES.items():
         module, _, own = entry.path.partition(":")

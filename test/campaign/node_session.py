@@ -32,8 +32,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.startup import start_ros
-from sphere_sim.ros.session.child_process import parameter_options, verb_command
-from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.process_set import ProcessSet, parameter_options, verb_command
 from sphere_sim.ros.session.serving import serve_until
 
 READY = 300.0
@@ -99,7 +98,7 @@ class Session:
         self.solver_file = folder.absolute() / "solver"
         commands = {
             "simulator": verb_command("simulator"),
-            "controller": module_command("bad_strategy", str(os.getpid()), str(self.solver_file)),
+            "controller": module_command("bad_strategy", str(self.solver_file)),
             "recorder": verb_command("recorder"),
         }
         if everything:
@@ -188,7 +187,7 @@ class Session:
                 self.relay.forward()
                 self.judge.restarted()
                 self.relay.shift = max(0, self.relay.shift)  # its time begins at zero
-            self.processes[name].start(self.arguments(name))
+            self.processes[name].start(*self.arguments(name))
 
     def spin(self) -> None:
         """Relay messages and serve this process's own node.

@@ -14,8 +14,7 @@ import psutil
 import pytest
 from patience import PATIENCE
 
-from sphere_nmpc.child import END_SIGNALS
-from sphere_sim.ros.session.child_process import ChildEndedError, ChildProcess
+from sphere_nmpc.child import END_SIGNALS, Child, ChildEndedError
 from sphere_sim.ros.session.process_set import ProcessSet
 
 WAITING = """
@@ -37,10 +36,10 @@ time.sleep(60)
 
 
 @pytest.fixture
-def process(tmp_path) -> Iterator[ChildProcess]:
+def process(tmp_path) -> Iterator[Child]:
     """Return a process that prints that it is up, and then waits."""
     command = [sys.executable, "-c", WAITING]
-    process = ChildProcess("waiting", command, tmp_path / "waiting.log")
+    process = Child(command, "waiting", tmp_path / "waiting.log")
     yield process
     process.kill()
 
@@ -52,12 +51,12 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.02)
 
 
-def start(process: ChildProcess, *extra: str) -> None:
+def start(process: Child, *extra: str) -> None:
     def lines() -> int:
         return len(re.findall(r"^up.*\n", process.output, re.MULTILINE))
 
     before = lines()
-    process.start(extra)
+    process.start(*extra)
     until(lambda: lines() > before)
 
 
@@ -71,13 +70,9 @@ def test_killed_process_names_the_signal_and_can_be_started_again(process) -> No
     assert process.output.split() == ["up", "up", "again"]
 
 
-def test_process_that_ignores_sigint_and_sigterm_is_killed(process, monkeypatch) -> None:
-    from sphere_sim.ros.session import child_process
-
-    short = tuple((number, 0.2) for number, _ in child_process._STOPPING[:-1])
-    monkeypatch.setattr(child_process, "_STOPPING", (*short, (signal.SIGKILL, PATIENCE)))
+def test_process_that_ignores_sigint_and_sigterm_is_killed(process) -> None:
     start(process, "ignoring")
-    process.stop()
+    process.stop(0.2)
     assert process.code == -signal.SIGKILL
 
 

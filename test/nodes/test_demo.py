@@ -23,7 +23,7 @@ from sphere_sim.demo.plan import PROCESS_NOISE
 from sphere_sim.demo.results import hints_of
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED
 from sphere_sim.recording.run_reader import read_run
-from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.session.process_set import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 DEMO = verb_command("demo", "--no-viewer")

@@ -17,7 +17,7 @@ pytest.importorskip("viser")
 
 from patience import PATIENCE
 
-from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.session.process_set import verb_command
 
 
 @pytest.mark.slow

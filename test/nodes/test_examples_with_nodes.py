@@ -19,7 +19,7 @@ from patience import LOCKSTEP, PATIENCE
 from ros_graph import started, values_of
 
 from sphere_nmpc.child import module_command, python_command
-from sphere_sim.ros.session.child_process import parameter_options, verb_command
+from sphere_sim.ros.session.process_set import parameter_options, verb_command
 
 PATIENT = ("--ros-args", *parameter_options({"patience": PATIENCE}))
 OWN_ROBOT = ("--params-file", "examples/own_robot.yaml")

@@ -3,7 +3,6 @@
 """The goal command with real nodes: what it prints and its exit code."""
 
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,8 +14,9 @@ from patience import PATIENCE
 from rclpy.executors import SingleThreadedExecutor
 from ros_graph import started
 from std_srvs.srv import SetBool, Trigger
-from verb_process import start, stop
+from verb_process import start
 
+from sphere_nmpc.child import Child, stop_together
 from sphere_sim.ros.session import goal_wait
 from sphere_sim.ros.session.goal_command import main
 
@@ -64,7 +64,7 @@ class Robot:
         at_origin = ("-p", "initial_state:=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]")
         self.simulator = start(folder, "simulator", "--ros-args", *at_origin)
         self.start_controller()
-        self.command: subprocess.Popen[bytes] | None = None
+        self.command: Child | None = None
 
     def start_controller(self) -> None:
         """Start the controller, which resumes the goals of one before."""
@@ -81,7 +81,7 @@ class Robot:
     def begin(self, *arguments: str) -> None:
         """Start a command, and wait until it reports its progress."""
         self.command = start(self._folder, "goal", *arguments, "--timeout", str(PATIENCE))
-        wait(lambda: " s left" in self.printed or self.command.poll() is not None)
+        wait(lambda: " s left" in self.printed or self.command.code is not None)
 
     def code(self) -> int:
         """Return the exit code of the command."""
@@ -109,7 +109,7 @@ def goal_files(tmp_path_factory) -> Iterator[Path]:
 def robot(tmp_path_factory, goal_files) -> Iterator[Robot]:
     robot = Robot(tmp_path_factory.mktemp("robot"))
     yield robot
-    stop([robot.controller, robot.simulator])
+    stop_together([robot.controller, robot.simulator])
 
 
 def call(kind: type, name: str, request: object) -> None:
@@ -152,7 +152,7 @@ def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_
     robot, capsys
 ) -> None:
     robot.begin(*FAR)
-    robot.command.send_signal(signal.SIGINT)
+    robot.command.send(signal.SIGINT)
     assert robot.code() == 1
     assert robot.printed.endswith(": interrupted; the sphere goes on to it\n")
     robot.begin(*FAR)
@@ -168,7 +168,7 @@ def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_
 @pytest.mark.slow
 def test_command_that_cancels_on_interrupt_waits_until_the_sphere_is_at_rest(robot) -> None:
     robot.begin(*FAR, "--cancel-on-interrupt")
-    robot.command.send_signal(signal.SIGTERM)
+    robot.command.send(signal.SIGTERM)
     assert robot.code() == 1
     assert robot.printed.endswith(
         ": interrupted, cancelled; the sphere is at rest on its path\n"

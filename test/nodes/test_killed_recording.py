@@ -64,12 +64,11 @@ def test_killed_recording_of_a_run_can_be_reported(graph, tmp_path, capsys, monk
         graph.until(is_recorded)
         planned = on_disk()
         graph.until(lambda: on_disk() > planned + 2.0)
-        nodes[0].send_signal(signal.SIGKILL)
+        nodes[0].send(signal.SIGKILL)
         nodes[0].wait(PATIENCE)
     finally:
         for node in nodes:
             node.kill()
-            node.wait(PATIENCE)
     with next(bag.glob("*.mcap")).open("rb") as stream:
         found = sum(1 for _ in make_reader(stream).iter_messages())
     assert found >= committed(bag)["message_count"] > 0

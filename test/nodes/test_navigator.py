@@ -18,8 +18,7 @@ from navigation_client import drawn, pose
 from navigation_session import AT_REST, Session
 
 from sphere_nmpc.ros.messages import pose_from_ros
-from sphere_sim.ros.session.child_process import verb_command
-from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.process_set import ProcessSet, verb_command
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "when_it_does_not_move.md"
 ROWS = [

@@ -4,7 +4,6 @@
 
 import json
 import signal
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -23,6 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from verb_process import start
 
+from sphere_nmpc.child import Child
 from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -33,7 +33,7 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 def record(tmp_path):
     processes = []
 
-    def begin(*arguments: str) -> subprocess.Popen:
+    def begin(*arguments: str) -> Child:
         given = "--ros-args", "-p", f"output:={tmp_path / 'bag'}", *arguments
         processes.append(start(tmp_path, "recorder", *given))
         return processes[-1]
@@ -41,7 +41,6 @@ def record(tmp_path):
     yield begin
     for process in processes:
         process.kill()
-        process.wait(PATIENCE)
 
 
 def received(graph, namespace: str = "") -> set[str]:
@@ -83,7 +82,7 @@ def test_messages_of_every_kind_of_publisher_are_recorded(graph, record, tmp_pat
             publisher.publish(message)
     metadata = tmp_path / "bag" / "metadata.yaml"
     graph.until(lambda: "parameters:/probe" in metadata.read_text())
-    recording.send_signal(signal.SIGHUP)  # as when its terminal is closed
+    recording.send(signal.SIGHUP)  # as when its terminal is closed
     assert recording.wait(PATIENCE) == 0
     assert "messages on" in (tmp_path / "recorder.log").read_text()
     counts = counted(tmp_path / "bag")
@@ -120,7 +119,7 @@ def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
     publisher = graph.publisher(DiagnosticArray, "/diagnostics")
     publisher.publish(DiagnosticArray())
     graph.until(lambda: received(graph, "/left"))
-    recording.send_signal(signal.SIGINT)
+    recording.send(signal.SIGINT)
     recording.wait(PATIENCE)
     assert "Traceback" not in (tmp_path / "recorder.log").read_text()
     assert counted(tmp_path / "bag") == {}

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Examples, and what the tutorial prints of them."""
 
-import os
 import re
 import subprocess
 
@@ -36,8 +35,8 @@ def forms(text: str) -> set[str]:
 def example_command(name: str, *arguments: str) -> list[str]:
     """Return the command line of an example, which ends with this process."""
     return python_command(
-        f"import runpy; from sphere_nmpc.child import end_with_parent as e; e({os.getpid()}); "
-        f"sys.argv[0] = {name!r}; runpy.run_path({str(EXAMPLES / name)!r}, run_name='__main__')",
+        f"import runpy; sys.argv[0] = {name!r}; "
+        f"runpy.run_path({str(EXAMPLES / name)!r}, run_name='__main__')",
         *arguments,
     )
 

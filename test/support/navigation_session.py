@@ -12,8 +12,7 @@ from ros_graph import Graph, values_of
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.ros.guarded_node import NEWEST
 from sphere_nmpc.ros.messages import pose_from_ros
-from sphere_sim.ros.session.child_process import parameter_options
-from sphere_sim.ros.session.process_set import ProcessSet
+from sphere_sim.ros.session.process_set import ProcessSet, parameter_options
 
 FACTOR = 4.0
 """Simulated over wall time."""

@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.lifetime import RunnableNode
-from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.session.process_set import verb_command
 
 
 def values_of(status: DiagnosticStatus) -> dict[str, str]:

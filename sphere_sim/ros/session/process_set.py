@@ -3,11 +3,26 @@
 """Several child processes that are checked and ended together."""
 
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sphere_nmpc.child import END_SIGNALS
-from sphere_sim.ros.session.child_process import ChildProcess, stop_together, verb_command
+from sphere_nmpc.child import END_SIGNALS, Child, python_command, stop_together
+
+
+def verb_command(verb: str, *arguments: str) -> list[str]:
+    """Return the command line of ``sphere_nmpc VERB ARGUMENTS`` as a child of this process."""
+    return python_command(
+        "from sphere_sim.cli.main import main; sys.exit(main())", verb, *arguments
+    )
+
+
+def parameter_options(parameters: Mapping[str, object]) -> list[str]:
+    """Return the ROS arguments ``-p NAME:=VALUE`` of parameters."""
+    texts = {
+        name: str(value).lower() if isinstance(value, bool) else str(value)
+        for name, value in parameters.items()
+    }
+    return [part for name, text in texts.items() for part in ("-p", f"{name}:={text}")]
 
 
 class ProcessSet:
@@ -19,7 +34,7 @@ class ProcessSet:
 
     def __init__(self, logs: Path) -> None:
         self._logs = logs
-        self._processes: dict[str, ChildProcess] = {}
+        self._processes: dict[str, Child] = {}
 
     def __enter__(self) -> "ProcessSet":
         return self
@@ -32,29 +47,27 @@ class ProcessSet:
             for number, handler in earlier.items():
                 signal.signal(number, handler)
 
-    def __getitem__(self, name: str) -> ChildProcess:
+    def __getitem__(self, name: str) -> Child:
         return self._processes[name]
 
-    def __iter__(self) -> Iterator[ChildProcess]:
+    def __iter__(self) -> Iterator[Child]:
         return iter(self._processes.values())
 
-    def add(self, name: str, command: Sequence[str], append: bool = False) -> ChildProcess:
-        """Add a process, which is not started yet; see `ChildProcess` for the arguments."""
-        process = ChildProcess(name, command, self._logs / f"{name}.log", append)
+    def add(self, name: str, command: Sequence[str], append: bool = False) -> Child:
+        """Add a process, which is not started yet; see `Child` for the arguments."""
+        process = Child(command, name, self._logs / f"{name}.log", append)
         self._processes[name] = process
         return process
 
     def start(
         self, verb: str, arguments: Sequence[str] = (), within: Sequence[str] = (), name: str = ""
-    ) -> ChildProcess:
+    ) -> Child:
         """Start ``sphere_nmpc VERB ARGUMENTS``; its name is by default the verb.
 
         A command may be in front of it, such as ``nice``, that replaces itself by the verb: a
         signal to the one has to reach the other.
         """
-        process = self.add(name or verb, [*within, *verb_command(verb, *arguments)])
-        process.start()
-        return process
+        return self.add(name or verb, [*within, *verb_command(verb, *arguments)]).start()
 
     @property
     def pids(self) -> dict[str, int]:

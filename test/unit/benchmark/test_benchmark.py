@@ -105,12 +105,13 @@ def test_answers_of_acados_come_from_another_python(tmp_path):
     with pytest.raises(RuntimeError, match="No module named 'acados"):
         Acados("sqp", sys.executable)
     stand_in = (
-        "import sys, numpy as np\n"
-        "sys.stdout.buffer.write(b'\\n'); sys.stdout.flush()\n"
-        "for status in (0.0, 4.0):\n"
-        "    asked = np.frombuffer(sys.stdin.buffer.read(120))\n"
-        "    answer = np.array([status, 7.0, asked[0], 2.0, asked[13] / 100.0])\n"
-        "    sys.stdout.buffer.write(answer.tobytes()); sys.stdout.flush()\n"
+        "import sys; sys.path.append(sys.argv[3])\n"
+        "from sphere_nmpc.channel import Channel, encoded\n"
+        "channel = Channel.inherited(int(sys.argv[-1])); channel.send(encoded(''))\n"
+        "for status in (0, 4):\n"
+        "    *_, in_force, starts = channel.receive()\n"
+        "    inputs = [2.0, in_force[0] / 100.0]\n"
+        "    channel.send(encoded((status, 7.0, float(starts), inputs)))\n"
     )
     acados = Acados("sqp", script(tmp_path, stand_in))
     case = PAPER_CASES[1]

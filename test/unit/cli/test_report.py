@@ -36,7 +36,7 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.cli.report import main
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report import report_files
-from sphere_sim.ros.session.child_process import verb_command
+from sphere_sim.ros.session.process_set import verb_command
 
 
 def approach(goals: int = 1) -> Iterator[Entry]:

@@ -17,8 +17,8 @@ import numpy as np
 from node_runs import machine, write_json
 from rich.progress import track
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -58,7 +58,7 @@ def run(scenario: Scenario, kind: Orientation) -> tuple[float, list[float]]:
 
 def _told(run: Trajectory, settled: float) -> list[float]:
     """Return the differences of the arrivals that were told from the settling time [s]."""
-    plans = [one.plan for one in run.decisions if one.mode is Mode.TRACKING]
+    plans = [one.plan for one in run.decisions if one.mode is Kind.TRACKING]
     return [plan.arrival - settled for plan in plans if np.isfinite(plan.arrival)]
 
 

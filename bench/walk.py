@@ -33,8 +33,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 import sphere_nmpc
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -164,9 +165,9 @@ class Meter:
     def end_tick(self) -> None:
         """End the walk of a sampling instant."""
         decision, kind = self.decision, None
-        if decision is not None and decision.mode is Mode.AT_GOAL:
+        if decision is not None and decision.mode is Kind.AT_GOAL:
             kind = RESTING
-        elif decision is not None and decision.mode is Mode.TRACKING:
+        elif decision is not None and decision.mode is Kind.TRACKING:
             kind = SOLVED if decision.is_new else FOLLOWED
         self.end(kind)
 

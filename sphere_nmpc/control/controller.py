@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.keeping_clear import LATE, clear_command, clear_plan, stop_if_refused
 from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
@@ -18,7 +19,7 @@ from sphere_nmpc.control.monitors import (
     relative_error,
 )
 from sphere_nmpc.control.planned import Planned
-from sphere_nmpc.control.pose_stream import PoseCheck, PoseGate
+from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
@@ -293,18 +294,18 @@ class Controller:
         simulator that is reset stops them. So nothing is learnt until they have been stopped.
         """
         newest = self._estimator.newest
-        found = PoseCheck.PLAUSIBLE
+        found = None
         if newest is not None and time > newest[0] + REACH:
             # All commands have ended; a prediction over hours would take seconds.
             self._estimator.forget()
         elif newest is None or time > newest[0]:
             found = self.pose_gate.check(time, state, newest, self._settings)
-        if found is PoseCheck.CARRIED:
+        if found is Kind.POSE_JUMPED:
             self._is_carried = True
             self._begin_anew()
         if self._is_carried:
             self._estimator.forget()
-        return found is PoseCheck.HELD
+        return found is Kind.POSE_LEFT_OUT
 
     def observe_rotors(self, time: float, speeds: Vector) -> None:
         """Take rotor speeds [rad/s], shape (2,), measured at control time `time` [s].
@@ -361,8 +362,8 @@ class Controller:
             # An error anywhere must not stop the loop; the hold in force is safe to its end.
             plan = self._fallback(time, None, error)
             if self.enabled:
-                return Decision(Mode.FALLBACK, plan, None)
-            return Decision(Mode.DISABLED, self._stop(time, Mode.DISABLED), None)
+                return Decision(Kind.FALLBACK.alone, plan, None)
+            return Decision(Kind.DISABLED.alone, self._stop(time, Kind.DISABLED), None)
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return the hold to send at `now` [s] and record it as sent; None if there is none.
@@ -397,7 +398,7 @@ class Controller:
                 self._planned = None  # it is not what is followed
             else:
                 sent = commands.joined(hold, start, period)
-            stops = not decision.solved and decision.mode is not Mode.FALLBACK
+            stops = not decision.solved and decision.mode is not Kind.FALLBACK
             if stops and not sent.speeds.any() and not commands.sent.moves_after(start):
                 return None
             commands.begin(hold, sent, stops)
@@ -409,7 +410,7 @@ class Controller:
         before, self._planned = self._planned, None
         newest = self._estimator.newest
         if newest is None:
-            return self._without_pose(time, Mode.NO_POSE, float("inf"))
+            return self._without_pose(time, Kind.NO_POSE, float("inf"))
         age = time - newest[0]
         if abs(age) > self._settings.pose_timeout:
             if age < 0.0:
@@ -420,12 +421,12 @@ class Controller:
                 self._interrupted = True
                 self._begin_anew()
                 self.rotor_feedback.resume()
-            return self._without_pose(time, Mode.NO_FRESH_POSE, age)
+            return self._without_pose(time, Kind.NO_FRESH_POSE, age)
         self._interrupted = False
         self._is_carried = self._is_carried and self._commands.sent.moves_after(time)
         if self._is_carried:
-            mode = Mode.POSE_JUMPED
-            return Decision(mode, self._stop(time, mode), None, pose_age=age)
+            jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
+            return Decision((jumped,), self._stop(time, jumped.kind), None, pose_age=age)
         aim, estimate = self._goal_at(time), None
         failure: Exception = ArithmeticError("no estimate")
         try:
@@ -439,18 +440,18 @@ class Controller:
             disturbance = estimate.disturbance
         goal = None if aim is None else aim.nearest(state, time)
         if aim is None or goal is None or not self._enabled:
-            mode = Mode.NO_GOAL if self._enabled else Mode.DISABLED
-            plan = self._stop(time, mode, state)
+            mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED
+            found, plan = mode.alone, self._stop(time, mode, state)
         elif estimate is None:
-            mode, plan = Mode.FALLBACK, self._fallback(time, state, failure)
+            found, plan = Kind.FALLBACK.alone, self._fallback(time, state, failure)
         elif before is not None and before.stands(time, estimate, aim, self.floor) and not (
             self.is_due(time)
         ):
-            self._planned, mode, plan = before, before.mode, before.plan
+            self._planned, found, plan = before, before.conditions, before.plan
         else:
-            mode, plan = self._plan(time, estimate, aim, goal, time_budget)
+            found, plan = self._plan(time, estimate, aim, goal, time_budget)
         decision = Decision(
-            mode, plan, state, goal, age, covariance, state[MOMENTUM], disturbance,
+            found, plan, state, goal, age, covariance, state[MOMENTUM], disturbance,
             is_new=before is None or plan is not before.plan,
         )
         settings = self._settings
@@ -461,27 +462,28 @@ class Controller:
         if reached and goals is not None and not goals.is_last:
             self._aim(replace(goals, index=goals.index + 1))
             return decision
-        arrived = reached and mode is Mode.TRACKING
+        arrived = reached and found is Kind.TRACKING.alone
         if goal is None or arrived or not decision.solved:
             self._progress.reset()
-            return replace(decision, mode=Mode.AT_GOAL) if arrived else decision
+            return replace(decision, conditions=Kind.AT_GOAL.alone) if arrived else decision
         missing = self._progress.update(
             time, newest[1], goal, self.speeds_at, decision, settings
         )
-        if not missing:
+        if missing is None:
             return decision
-        return replace(decision, mode=Mode.NO_PROGRESS, no_progress=missing)
+        # First, as one that stands does not roll with saturated rotors.
+        return replace(decision, conditions=(missing, *found))
 
-    def _without_pose(self, time: float, mode: Mode, age: float) -> Decision:
+    def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self._estimator
         return Decision(
-            mode, self._stop(time, mode), None, pose_age=age,
+            mode.alone, self._stop(time, mode), None, pose_age=age,
             momentum=estimator.momentum, disturbance=estimator.disturbance,
         )
 
     def _plan(
         self, time: float, estimate: Estimate, aim: Goal, goal: Vector, time_budget: float
-    ) -> tuple[Mode, Plan]:
+    ) -> tuple[tuple[Condition, ...], Plan]:
         try:
             plant = estimate.plant
             situation = Situation(
@@ -503,11 +505,11 @@ class Controller:
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
             saturated = plan.status is PlanStatus.SATURATED
-            mode = Mode.SATURATED if saturated else Mode.TRACKING
-            self._planned = Planned(mode, plan, situation, aim, plant)
-            return mode, plan
+            found = (Kind.SATURATED if saturated else Kind.TRACKING).alone
+            self._planned = Planned(found, plan, situation, aim, plant)
+            return found, plan
         except Exception as error:
-            return Mode.FALLBACK, self._fallback(time, estimate.state, error)
+            return Kind.FALLBACK.alone, self._fallback(time, estimate.state, error)
 
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         """Return the rest of the hold in force; on a floor, which may be another one, a stop."""
@@ -524,7 +526,7 @@ class Controller:
         self.last_failure = f"{type(error).__name__}: {error}"
         return self.last_failure
 
-    def _stop(self, time: float, mode: Mode, state: Vector | None = None) -> Plan:
+    def _stop(self, time: float, mode: Kind, state: Vector | None = None) -> Plan:
         hold = self._hold_or_rest(self._commands.stop, time)
         return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
 

@@ -1,38 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Result of a sampling instant: mode of the controller, plan, and distance to the goal."""
+"""Result of a sampling instant: how things stand, plan, and distance to the goal."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.state import NO_MOMENTUM, Vector, angle_error, position_error, state_error
 from sphere_nmpc.strategy.plan import Plan
 
-
-class Mode(Enum):
-    """Operating mode of the controller; where it does not move the robot, the reason."""
-
-    NO_CLOCK = "no clock yet"
-    CLOCK_STOPPED = "the clock stands still"
-    CLOCK_JUMPED = "the clock jumps, nothing is sent"
-    NO_POSE = "no pose yet"
-    NO_GOAL = "no goal"
-    DISABLED = "disabled"
-    NO_FRESH_POSE = "no fresh pose, stopping"
-    POSE_JUMPED = "the pose has jumped, stopping"
-    TRACKING = "on the way to the goal"
-    AT_GOAL = "at the goal"
-    NO_PROGRESS = "no progress towards the goal"
-    SATURATED = "the rotors cannot hold the momentum"
-    FALLBACK = "solve failed, following the previous plan"
-
-
-_SOLVED = (Mode.TRACKING, Mode.AT_GOAL, Mode.NO_PROGRESS, Mode.SATURATED)
+_SOLVED = (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_PROGRESS, Kind.SATURATED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +22,8 @@ class Decision:
 
     Attributes
     ----------
-    mode : Mode
-        Operating mode.
+    conditions : tuple of Condition
+        How things stand; the first one tells the mode.
     plan : Plan
         The plan, before it is joined to the speeds in force by `Controller.commit`.
     state : ndarray of shape (9,), or None
@@ -58,13 +39,11 @@ class Decision:
         Estimated momentum, also without a fresh pose [rad/s; world frame].
     disturbance : Disturbance
         Estimated slope and imbalance.
-    no_progress : str
-        For how long the sphere has stood away from its goal, and why; empty where it has not.
     is_new : bool
         Whether the plan was made at this instant, rather than kept.
     """
 
-    mode: Mode
+    conditions: tuple[Condition, ...]
     plan: Plan
     state: Vector | None
     goal: Vector | None = None
@@ -72,8 +51,17 @@ class Decision:
     covariance: Vector | None = None
     momentum: Vector = field(default_factory=lambda: NO_MOMENTUM)
     disturbance: Disturbance = UNDISTURBED
-    no_progress: str = ""
     is_new: bool = True
+
+    @cached_property
+    def mode(self) -> Kind:
+        """Operating mode; where it does not move the robot, the reason."""
+        return self.conditions[0].kind
+
+    @cached_property
+    def solved(self) -> bool:
+        """Whether the plan is the solution of the strategy for this instant."""
+        return self.conditions[0].kind in _SOLVED
 
     @cached_property
     def error(self) -> float:
@@ -94,11 +82,6 @@ class Decision:
     def solve_time(self) -> float:
         """Wall time that was spent on the plan at this instant [s], steady clock."""
         return self.plan.solve_time if self.is_new else 0.0
-
-    @property
-    def solved(self) -> bool:
-        """Whether the plan is the solution of the strategy for this instant."""
-        return self.mode in _SOLVED
 
     @property
     def position_deviation(self) -> float:

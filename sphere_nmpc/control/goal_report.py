@@ -6,25 +6,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.strategy.plan import Unreachable
 
-_PURSUED = {mode.value for mode in (Mode.TRACKING, Mode.AT_GOAL, Mode.NO_GOAL)}
+_PURSUED = {mode.value for mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL)}
 """Modes in which nothing keeps the controller from its goal."""
-ERROR_CODES = {
-    Unreachable.START_OUTSIDE.value: 203,
-    Unreachable.GOAL_OUTSIDE.value: 204,
-    Unreachable.START_OCCUPIED.value: 205,
-    Unreachable.GOAL_OCCUPIED.value: 206,
-    Unreachable.NO_WAY.value: 208,
-    Mode.NO_PROGRESS.value: 105,
-    Mode.NO_POSE.value: 102,
-    Mode.NO_FRESH_POSE.value: 102,
+ERROR_CODES = {kind.value: kind.code for kind in Kind if kind.code}
+"""Codes of Nav2 for causes."""
+OF_THE_WAY = {
+    kind.value for kind in Kind if kind is Kind.NO_PROGRESS or kind.is_unreachable
 }
-"""Codes of Nav2 for causes: those of the results of ComputePathToPose and FollowPath in nav2_msgs,
-which its own navigator passes on."""
-OF_THE_WAY = {Mode.NO_PROGRESS.value, *(kind.value for kind in Unreachable)}
 """Causes that concern the way to a goal, so that another one may be reached."""
 _KEYS = "goal_stamp", "goal_index", "mode", "plans", "total_time_left_s", "total_distance_left_m"
 
@@ -40,7 +31,7 @@ class GoalReport:
     index : int
         Which of them is aimed at, from 0 on.
     mode : str
-        Value of the controller's `Mode`.
+        Value of the `Kind` that is the controller's mode.
     at_rest : bool
         Whether no rotor moves any more.
     plans : int
@@ -48,7 +39,7 @@ class GoalReport:
     time_left, distance_left : float
         Time [s] and path [m] to the last of the goals; nan where they are not known.
     unreachable : str
-        Value of `Unreachable`, empty where the goal may be reached.
+        Value of the `Kind` of unreachable goals, empty where the goal may be reached.
     obstacle : str
         What keeps the sphere from its goal; empty where that is said by the mode.
     """
@@ -109,8 +100,8 @@ class Patience:
             return ""
         if self._since is None:
             self._since = now
-        is_final = mode == Mode.DISABLED.value or (
-            mode == Mode.NO_PROGRESS.value and report.unreachable
+        is_final = mode == Kind.DISABLED.value or (
+            mode == Kind.NO_PROGRESS.value and report.unreachable
         )
         reason = f"{mode}: {report.obstacle}" if report.obstacle else mode
         if report.stamp and is_final:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.disturbance import (
     Disturbance,
@@ -133,13 +134,13 @@ class Progress:
         self._stand: _Stand | None = None
         self._time = -math.inf
         self._rolling = 0.0
-        self._found = ""
+        self._found: Condition | None = None
 
     def update(
         self, time: float, pose: Vector, goal: Vector, speeds_at: Callable[[float], Vector],
         decision: Decision, settings: ControllerSettings,
-    ) -> str:
-        """Record a sampling instant; return what there is instead of progress, empty where it is.
+    ) -> Condition | None:
+        """Record a sampling instant; return that there is no progress, None where there is.
 
         Poses are compared once a sample period, whatever the control rate. At the sampling instant
         `time` [s] `pose` is the newest measured state; `speeds_at` returns the rotor speeds in
@@ -148,7 +149,7 @@ class Progress:
         elapsed = time - self._time
         if 0.0 <= elapsed < 0.99 * settings.period:
             return self._found
-        self._time, self._found = time, ""
+        self._time, self._found = time, None
         plan, error = decision.plan, state_error(pose, goal)
         holds = plan.status is PlanStatus.HOLDING and not plan.given_up
         if holds:
@@ -159,7 +160,7 @@ class Progress:
             none_needed = error < _tolerance(settings)
         if none_needed:
             self._stand = None
-            return ""
+            return None
         longest = max(_PERIODS * settings.period, _SHORTEST)
         standing = _STANDING * self._gain * self._max_speed * longest + self._noise(settings)
         stand = self._stand
@@ -169,15 +170,16 @@ class Progress:
             else self._progresses(stand, pose, error, standing)
         ):
             self._stand, self._rolling = _Stand(time, pose, error, goal[POSITION]), 0.0
-            return ""
+            return None
         self._rolling += self._gain * _excess(speeds_at(time), decision, time) * elapsed
         waited = time - stand.since
         if waited < longest:
-            return ""
+            return None
         ignored = self._rolling if self._rolling > _IGNORED * standing else 0.0
-        self._found = (
+        self._found = Condition(
+            Kind.NO_PROGRESS,
             f"given a sphere that has stood for {waited:.1f} s, error {error:.2g}, "
-            f"expected motion; {self._cause(decision, ignored)}"
+            f"expected motion; {self._cause(decision, ignored)}",
         )
         return self._found
 
@@ -246,25 +248,25 @@ def _excess(speeds: Vector, decision: Decision, time: float) -> float:
 
 def rotor_reserve(
     momentum: Vector, disturbance: Disturbance, robot: RobotParameters, goal: Vector
-) -> dict[str, str]:
-    """Return the warning about rotors that hold a momentum at the goal, by its kind; or none."""
+) -> Condition | None:
+    """Return the warning about rotors that hold a momentum at the goal; None without one."""
     quaternion, limit = goal[QUATERNION], robot.max_rotor_speed
     needed = float(np.max(np.abs(rest_speeds(momentum, quaternion))))
     if needed < _NEAR * limit:
-        return {}
+        return None
     x, y = push_against(robot, momentum).tolist()
     push = f"a push of {math.hypot(x, y):.2g} N s towards {math.degrees(math.atan2(y, x)):.0f} deg"
     if needed >= limit:
-        return {
-            "rotors at their limit": f"given a momentum that needs {needed:.0f} rad/s at the "
+        return Condition(
+            Kind.ROTORS_AT_LIMIT, f"given a momentum that needs {needed:.0f} rad/s at the "
             f"goal, expected at most {limit:.0f}; the sphere rolls until {push} or the opposite "
-            "slope takes the momentum, which a level floor leaves as it is"
-        }
+            "slope takes the momentum, which a level floor leaves as it is",
+        )
     left = time_to_saturation(momentum, disturbance, quaternion, limit)
     if left > _SOON:
-        return {}
-    return {
-        "rotors near their limit": f"given {needed:.0f} of {limit:.0f} rad/s to hold the momentum "
+        return None
+    return Condition(
+        Kind.ROTORS_NEAR_LIMIT, f"given {needed:.0f} of {limit:.0f} rad/s to hold the momentum "
         f"at the goal, and {left:.1f} s until it can be held no longer; a level floor, a balanced "
-        f"sphere or {push} helps"
-    }
+        f"sphere or {push} helps",
+    )

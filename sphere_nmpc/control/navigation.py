@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_report import OF_THE_WAY, GoalReport, Patience
 from sphere_nmpc.quantity import quantity, validate
 
@@ -285,7 +285,7 @@ class Navigation:
         report = self._report
         if report is None or report.stamp != pursuit.stamp or pursuit.cancelled_at is not None:
             return False
-        if pursuit.reached_at is None and report.mode == Mode.AT_GOAL.value:
+        if pursuit.reached_at is None and report.mode == Kind.AT_GOAL.value:
             pursuit.reached_at = now
         if pursuit.reached_at is not None:
             return now - pursuit.reached_at >= pursuit.pause

@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Condition
 from sphere_nmpc.estimation.pose_filter import Estimate, PlantEstimate
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.goal import Goal
@@ -17,7 +17,7 @@ from sphere_nmpc.strategy.plan import Plan
 class Planned:
     """Plan of the strategy with what it was made for."""
 
-    mode: Mode
+    conditions: tuple[Condition, ...]
     plan: Plan
     situation: Situation
     aim: Goal

@@ -4,10 +4,10 @@
 
 import math
 from collections import deque
-from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.estimation.pose_filter import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
@@ -30,14 +30,6 @@ _SHARE = 0.2
 _INEXACT = 2e-3
 """Standard deviation of the stamps from which on it is told [s]: 1.5 mm at the full speed of the
 robot of Table 1."""
-
-
-class PoseCheck(Enum):
-    """What a pose is taken for."""
-
-    PLAUSIBLE = "plausible"
-    HELD = "held back until the next one"
-    CARRIED = "carried"
 
 
 class PoseGate:
@@ -65,9 +57,10 @@ class PoseGate:
     def check(
         self, time: float, pose: Vector, newest: tuple[float, Vector] | None,
         settings: ControllerSettings,
-    ) -> PoseCheck:
-        """Return what a pose, shape (6,), measured at `time` [s] is taken for.
+    ) -> Kind | None:
+        """Return what is wrong with a pose, shape (6,), measured at `time` [s]; None if nothing.
 
+        It is `Kind.POSE_LEFT_OUT`, until the next one, or `Kind.POSE_JUMPED`.
         `newest` are time and pose of the newest one before; None without any.
         """
         held, self._held = self._held, None
@@ -77,7 +70,7 @@ class PoseGate:
         elif step:
             self.jumps += 1
             self.last_jump = f"{step}; poses and plans before it are dropped"
-            return PoseCheck.CARRIED
+            return Kind.POSE_JUMPED
         if held is not None and newest is not None:
             self.outliers += 1
             step = self.impossible_step(newest, *held, settings)
@@ -85,7 +78,7 @@ class PoseGate:
                 f"{step}, and the next pose is elsewhere; it is left out: does the source of the "
                 "poses lose sight of the sphere, or see another one?"
             )
-        return PoseCheck.HELD if self._held else PoseCheck.PLAUSIBLE
+        return Kind.POSE_LEFT_OUT if self._held else None
 
     def impossible_step(
         self, before: tuple[float, Vector], time: float, pose: Vector,
@@ -127,30 +120,33 @@ class StampWatch:
         if stamp > before or (stamp == before and not np.array_equal(pose, same)):
             self._gaps.append(stamp - before)
 
-    def fault(self) -> str:
-        """Return what is wrong with the stamps, and the remedy; empty if nothing is."""
+    def fault(self) -> Condition | None:
+        """Return what is wrong with the stamps, and the remedy; None if nothing is."""
         gaps = np.array(self._gaps) if len(self._gaps) >= _ENOUGH else np.empty(0)
         count = max(1, gaps.size)
         mean = float(np.sum(gaps)) / count
         short = SHORT_GAP * mean
         same, close = (float(np.sum(gaps <= most)) / count for most in (0.0, short))
         if same > _SHARE:
-            return (
+            return Condition(
+                Kind.INEXACT_STAMPS,
                 f"given {100.0 * same:.0f} % of the poses with the same stamp as the one before, "
                 "expected the time of measurement of each: is the clock that stamps them coarse? "
-                "All but the first are dropped"
+                "All but the first are dropped",
             )
         if close > _SHARE:
-            return (
+            return Condition(
+                Kind.INEXACT_STAMPS,
                 f"given {100.0 * close:.0f} % of the poses less than {1e3 * short:.2g} ms "
                 f"after the one before, at {1.0 / mean:.3g} Hz, expected the times of "
                 "measurement: poses are stamped where they are measured, not where bunches of "
-                "them are passed on"
+                "them are passed on",
             )
         if self.deviation < _INEXACT:
-            return ""
-        return (
+            return None
+        return Condition(
+            Kind.INEXACT_STAMPS,
             f"given poses whose stamps are off by about {1e3 * self.deviation:.2g} ms, by the "
             "motion that they show, expected the times of measurement: stamp them where they are "
-            "measured, by the clock of this node"
+            "measured, by the clock of this node",
         )

@@ -9,13 +9,13 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from sphere_nmpc.conditions import Severity
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import stamp_to_ros
 
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-)
-
+_LEVELS: dict[Severity, bytes] = {
+    level: getattr(DiagnosticStatus, level.name) for level in Severity
+}
 _TEXTS: dict[type, Callable[[Any], str]] = {
     float: "{:.6g}".format, np.float64: "{:.6g}".format, bool: ("false", "true").__getitem__,
 }
@@ -27,10 +27,12 @@ def status_name(node: Node) -> str:
     return node.get_fully_qualified_name().lstrip("/")
 
 
-def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+def status(
+    name: str, level: Severity, message: str, values: Mapping[str, Any]
+) -> DiagnosticStatus:
     """Return the status of the node `name`; numbers are written with six digits."""
     return DiagnosticStatus(
-        level=level,
+        level=_LEVELS[level],
         name=name,
         message=message,
         hardware_id=name.rpartition("/")[0] or "sphere",
@@ -55,7 +57,7 @@ class Diagnostics:
         self,
         node: GuardedNode,
         now: Callable[[], int],
-        tasks: dict[str, Callable[[], tuple[bytes, str, Mapping[str, Any]]]],
+        tasks: dict[str, Callable[[], tuple[Severity, str, Mapping[str, Any]]]],
     ) -> None:
         self._name = status_name(node)
         self._now = now

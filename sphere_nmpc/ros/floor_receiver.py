@@ -15,6 +15,7 @@ from geometry_msgs.msg import PolygonInstanceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.floor.change_queue import ChangeQueue, Request
@@ -31,7 +32,7 @@ from sphere_nmpc.ros.floor_messages import (
     keepout_of_message,
     map_of_message,
 )
-from sphere_nmpc.ros.graph_monitor import NO_EVENTS, GraphFault
+from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 
 _KEEPOUTS = QoSProfile(depth=MOST_AREAS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -158,15 +159,16 @@ class FloorReceiver(Generic[S, T]):
         oldest = self._changes.oldest()
         return 0.0 if oldest is None else time.monotonic() - oldest.since
 
-    def faults(self) -> list[GraphFault]:
+    def faults(self) -> list[Condition]:
         """Return the fault of a floor that is not in force yet, if there is one."""
         oldest, pending = self._changes.oldest(), self.pending
         if oldest is None or pending < _MOMENT:
             return []
-        return [GraphFault(
-            "floor late", f"given {oldest.name} {pending:.1f} s ago, expected it in force within "
+        return [Condition(
+            Kind.FLOOR_LATE,
+            f"given {oldest.name} {pending:.1f} s ago, expected it in force within "
             f"{_MOMENT:g} s; the sphere rolls as on the floor before: a smaller or coarser map, "
-            "or fewer areas and corners, are made sooner", severe=False,
+            "or fewer areas and corners, are made sooner",
         )]
 
     def prepare(

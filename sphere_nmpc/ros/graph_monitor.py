@@ -6,7 +6,6 @@ import math
 import re
 import time
 from collections.abc import Iterable, Sequence, Set
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -17,6 +16,7 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 
+from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.network import network_addresses, reaches_other_machines
@@ -38,17 +38,6 @@ _MOST_NAMES = 8
 _KILLED = "a node that was killed is counted for up to 20 s"
 
 
-@dataclass(frozen=True)
-class GraphFault:
-    """A fault in the ROS graph: what is wrong, and what was given, expected and helps."""
-
-    kind: str
-    """In a few words that do not change."""
-    message: str
-    severe: bool = True
-    """Whether it prevents the node from doing its work."""
-
-
 class GraphMonitor:
     """Monitor of the present faults, which logs the beginning and the end of each."""
 
@@ -56,11 +45,11 @@ class GraphMonitor:
         self._node = node
         self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._announced = network_addresses() if reaches_other_machines() else None
-        self.faults: list[GraphFault] = []
-        """The present faults, the most severe first."""
+        self.faults: tuple[Condition, ...] = ()
+        """The present faults, the worst first."""
         self._since: dict[str, float] = {}
 
-    def update(self, found: Sequence[GraphFault]) -> None:
+    def update(self, found: Sequence[Condition]) -> None:
         """Take `found` as the present faults, and log which are new and which have ended.
 
         That of the network is added here. A fault of a node without a name is logged once the
@@ -69,14 +58,14 @@ class GraphMonitor:
         if self._announced is not None:
             found = [*found, *network_fault(self._announced, network_addresses())]
         now = time.monotonic()
-        self.faults = list(found)
+        self.faults = worst_first(found)
         self._since = {
-            fault.kind: self._since.get(fault.kind, now) if UNKNOWN in fault.message else -math.inf
+            fault.name: self._since.get(fault.name, now) if UNKNOWN in fault.text else -math.inf
             for fault in found
         }
         self._lasting.update({
-            fault.kind: fault.message for fault in found
-            if now > self._since[fault.kind] + NAMED_WITHIN
+            fault.name: fault.text for fault in found
+            if now > self._since[fault.name] + NAMED_WITHIN
         })
 
     def publishers(self, topic: str, kind: type) -> list[str]:
@@ -87,7 +76,7 @@ class GraphMonitor:
         """Return the names that `publishers` returns, once they are known."""
         return [name for name in self.publishers(topic, kind) if name not in (UNKNOWN, INVALID)]
 
-    def further_publishers(self, clocked: bool) -> list[GraphFault]:
+    def further_publishers(self, clocked: bool) -> list[Condition]:
         """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
         pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))
         clocks = self.publishers(clock, Clock) if clocked else []
@@ -101,20 +90,20 @@ class GraphMonitor:
             and self._node.count_publishers(topic) > 0
         ]
 
-    def incompatible(self) -> list[GraphFault]:
+    def incompatible(self) -> list[Condition]:
         """Return the faults of publishers and subscriptions between which nothing is delivered."""
         node, own = self._node, self._node.get_fully_qualified_name()
         topics = {end.topic_name for end in node.subscriptions}
         topics |= {end.topic_name for end in node.publishers}
         wanted = {end.topic_name: type_name(end.msg_type) for end in node.subscriptions}
-        found: dict[str, GraphFault] = {}
+        found: dict[str, Condition] = {}
         for topic in sorted(topics - _OF_EVERY_NODE):
             # From the graph: a node's own profiles leave open what the middleware decides.
             publishers = node.get_publishers_info_by_topic(topic)
             subscribers = node.get_subscriptions_info_by_topic(topic) if publishers else []
             # Where some messages pass, those of another type do no harm.
             if topic in wanted and wanted[topic] not in {it.topic_type for it in publishers}:
-                found |= {fault.kind: fault for fault in other_types(
+                found |= {fault.name: fault for fault in other_types(
                     topic, wanted[topic], publishers)}
             for publisher, subscriber in product(publishers, subscribers):
                 ends = {full_name(publisher), full_name(subscriber)}
@@ -126,11 +115,11 @@ class GraphMonitor:
                 if fit == QoSCompatibility.ERROR:
                     other = ", ".join(ends - {own}) or own
                     given = reason.removeprefix("ERROR: ").rstrip(";").lower()
-                    found[topic] = GraphFault(
-                        f"incompatible QoS on {topic}",
+                    found[topic] = Condition(
+                        Kind.INCOMPATIBLE_QOS,
                         f"given {given} ({other}), expected qualities of service that fit; no "
                         f"message passes; 'ros2 topic info -v {topic}' shows both sides",
-                        severe=False,
+                        topic,
                     )
         return list(found.values())
 
@@ -148,19 +137,19 @@ def publishers_of(node: Node, topic: str, kind: type) -> list[TopicEndpointInfo]
 
 def other_types(
     topic: str, expected: str, publishers: Sequence[TopicEndpointInfo]
-) -> list[GraphFault]:
+) -> list[Condition]:
     """Return the fault of publishers of a topic that send another type than that expected."""
     others = [info for info in publishers if info.topic_type != expected]
     if not others:
         return []
     given = ", ".join(sorted({shown(info.topic_type)[1:-1] for info in others}))
     return [
-        GraphFault(
-            f"other type on {topic}",
+        Condition(
+            Kind.OTHER_TYPE,
             f"given a publisher of {topic} of type {given} ({names_of(map(full_name, others))}), "
             f"expected {expected}; its messages are not received: remap one side, "
             f"-r {topic}:=/its/topic",
-            severe=False,
+            topic,
         )
     ]
 
@@ -178,7 +167,7 @@ def full_name(info: TopicEndpointInfo) -> str:
 
 def further_publishers(
     pose_topic: str, poses: Sequence[str], clock_topic: str, clocks: Sequence[str]
-) -> list[GraphFault]:
+) -> list[Condition]:
     """Return the faults of several nodes `clocks` or `poses` that publish clock or pose."""
     return [
         *several_publishers(clock_topic, clocks, "time jumps between them"),
@@ -186,16 +175,16 @@ def further_publishers(
     ]
 
 
-def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[GraphFault]:
+def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[Condition]:
     """Return the fault of a topic that more than one of `nodes` publishes, with its effect."""
     if len(nodes) < 2:
         return []
     return [
-        GraphFault(
-            f"other publisher of {topic}",
+        Condition(
+            Kind.OTHER_PUBLISHER,
             f"given {len(nodes)} ({names_of(nodes)}), expected one; {effect}; "
             f"{_USE_NAMESPACE}; {_KILLED}",
-            severe=False,
+            topic,
         )
     ]
 
@@ -207,7 +196,7 @@ def names_of(nodes: Iterable[str]) -> str:
     return ", ".join([*names[:_MOST_NAMES], *more])
 
 
-def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:
+def network_fault(announced: Set[str], present: Set[str]) -> list[Condition]:
     """Return the fault of a node that other machines are not told the right address of.
 
     `announced` are the addresses of this machine when the node started, which Fast DDS announces
@@ -217,9 +206,9 @@ def network_fault(announced: Set[str], present: Set[str]) -> list[GraphFault]:
         return []
     before, now = (", ".join(sorted(some)) or "none" for some in (announced, present))
     return [
-        GraphFault(
-            "network", f"given the address {now}, expected the one that this node announces since "
+        Condition(
+            Kind.NETWORK,
+            f"given the address {now}, expected the one that this node announces since "
             f"its start ({before}); nodes on other machines cannot find it: restart it",
-            severe=False,
         )
     ]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -24,7 +25,6 @@ from sphere_nmpc.solver.half_motions import Side
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Unreachable
 
 _SAMPLES = 0.06, 0.015, 0.0025
 """Longest time between two samples of a path [1 / (c1 u_max)]: 25.5 mm of the way for Table 1 with
@@ -72,12 +72,12 @@ def needed_distance(situation: Situation, margin: Margin) -> float:
     return min(situation.least_distance + beyond, max(there, situation.radius))
 
 
-def refusal(situation: Situation, floor: Floor) -> tuple[Unreachable, str] | None:
+def refusal(situation: Situation, floor: Floor) -> tuple[Kind, str] | None:
     """Return why the sphere is not to move on a floor, whatever a plan is; None if it may."""
     place = situation.state[POSITION]
     if floor.is_occupied(place):
         inside = floor.grid.contains(place)
-        return Unreachable.START_OCCUPIED if inside else Unreachable.START_OUTSIDE, (
+        return Kind.START_OCCUPIED if inside else Kind.START_OUTSIDE, (
             "the goal: the place of the sphere is occupied or outside of the floor, so that no "
             "motion keeps clear"
         )
@@ -90,10 +90,10 @@ def refusal(situation: Situation, floor: Floor) -> tuple[Unreachable, str] | Non
         if radius > floor.needed:
             least = f"the radius that is learnt, {radius:.3g} m"
         reason = f"the goal: it is {distance:.3g} m from what is occupied, less than {least}"
-        return Unreachable.GOAL_OCCUPIED, reason
+        return Kind.GOAL_OCCUPIED, reason
     if floor.grid.contains(goal):
-        return Unreachable.GOAL_OCCUPIED, "the goal: it is occupied"
-    return Unreachable.GOAL_OUTSIDE, "the goal: it is outside of the floor"
+        return Kind.GOAL_OCCUPIED, "the goal: it is occupied"
+    return Kind.GOAL_OUTSIDE, "the goal: it is outside of the floor"
 
 
 def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> float:

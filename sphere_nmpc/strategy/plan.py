@@ -8,6 +8,7 @@ from enum import Enum
 
 import numpy as np
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
@@ -31,18 +32,6 @@ class PlanStatus(Enum):
     """No plan is known; the rotors are brought to the speeds at which the sphere rests."""
     SATURATED = "saturated"
     """The rotors cannot hold the momentum: they stay at their limits, and the sphere rolls."""
-
-
-class Unreachable(Enum):
-    """Why the goal cannot be reached on the floor, whatever is planned."""
-
-    START_OUTSIDE = "start outside"
-    """The sphere is outside of the floor."""
-    START_OCCUPIED = "start occupied"
-    GOAL_OUTSIDE = "goal outside"
-    GOAL_OCCUPIED = "goal occupied"
-    """The goal is occupied, or too near to what is."""
-    NO_WAY = "no way"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +77,7 @@ class Plan:
         One line that explains the status.
     given_up : str
         What is given up of the goal and why; empty where nothing is.
-    unreachable : Unreachable or None
+    unreachable : Kind or None
         Why the goal cannot be reached even without the areas to keep out of, which may move; None
         where it may be.
     motion : int
@@ -121,7 +110,7 @@ class Plan:
     solve_time: float = 0.0
     message: str = ""
     given_up: str = ""
-    unreachable: Unreachable | None = None
+    unreachable: Kind | None = None
     motion: int = 0
     clearance: float = math.nan
     beyond: float = 0.0

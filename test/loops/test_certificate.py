@@ -11,8 +11,8 @@ from delayed_worker import DelayedWorker
 from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 from sampled_loop import ROBOT, SampledLoop
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import route_to
@@ -75,11 +75,11 @@ def test_a_goal_in_an_area_is_not_reached_though_the_sphere_is_there(strategy: s
     loop.controller.floor = floor_of([])
     loop.controller.set_goal(pose(1.0, 2.0))
     loop.run(1.0)
-    assert loop.decision.mode is Mode.AT_GOAL
+    assert loop.decision.mode is Kind.AT_GOAL
     loop.controller.floor = floor_of([(0.5, 1.5, 1.5, 2.5)])
     loop.run(1.0)
     assert not loop.controller.at_goal
-    assert loop.decision.mode is Mode.TRACKING
+    assert loop.decision.mode is Kind.TRACKING
     assert "occupied" in loop.decision.plan.given_up
 
 

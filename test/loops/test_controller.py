@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
 from sphere_nmpc.estimation.estimator import Estimator
@@ -73,7 +73,7 @@ def controller(strategy: Scripted) -> Controller:
     return made
 
 
-def sample(controller: Controller, time: float, delay: float = 0.0) -> Mode:
+def sample(controller: Controller, time: float, delay: float = 0.0) -> Kind:
     decision = controller.decide(time)
     controller.commit(decision, time + delay)
     return decision.mode
@@ -82,7 +82,7 @@ def sample(controller: Controller, time: float, delay: float = 0.0) -> Mode:
 def track(controller: Controller, time: float = 0.0) -> None:
     """Let the controller plan and command its first motion at `time` [s]."""
     controller.observe(time, START)
-    assert sample(controller, time) is Mode.TRACKING
+    assert sample(controller, time) is Kind.TRACKING
 
 
 def ramp_is_safe(hold: FirstOrderHold) -> None:
@@ -101,12 +101,12 @@ def within_limits(hold: FirstOrderHold | None) -> FirstOrderHold:
 def test_without_pose_or_goal_nothing_is_sent() -> None:
     controller = Controller(SETTINGS, ROBOT, Scripted())
     decision = controller.decide(0.0)
-    assert decision.mode is Mode.NO_POSE and np.isnan(decision.error)
+    assert decision.mode is Kind.NO_POSE and np.isnan(decision.error)
     assert decision.plan.status is PlanStatus.RAMP_TO_REST
     assert controller.commit(decision, 0.0) is None
     controller.observe(0.0, START)
     decision = controller.decide(0.1)
-    assert decision.mode is Mode.NO_GOAL and np.isnan(decision.angle_error)
+    assert decision.mode is Kind.NO_GOAL and np.isnan(decision.angle_error)
     np.testing.assert_array_equal(decision.state[POSE], START)
     assert controller.commit(decision, 0.1) is None
 
@@ -120,14 +120,14 @@ def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit_until_a_fresh_one(
         resets, late = strategy.resets, began + away
         in_force = controller.speeds_at(late)
         decision = controller.decide(late)
-        assert decision.mode is Mode.NO_FRESH_POSE and decision.state is None
+        assert decision.mode is Kind.NO_FRESH_POSE and decision.state is None
         assert decision.pose_age == pytest.approx(away)
         hold = controller.commit(decision, late)
         assert hold is not None
         ramp_is_safe(hold)
         assert hold.end - late == pytest.approx(np.max(np.abs(in_force)) / 400.0)
         for time in (late + 0.002, late + 1.0):
-            assert sample(controller, time) is Mode.NO_FRESH_POSE
+            assert sample(controller, time) is Kind.NO_FRESH_POSE
         assert strategy.resets == resets + 1, "once: it may take long"
         assert strategy.situations[-1].time == began
         # At rest and still without a pose, nothing more is sent.
@@ -138,13 +138,13 @@ def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit_until_a_fresh_one(
 
 def test_pose_out_of_order_or_from_the_future_is_dropped(controller: Controller) -> None:
     controller.observe(1e6, START)
-    assert sample(controller, 0.0) is Mode.NO_FRESH_POSE
+    assert sample(controller, 0.0) is Kind.NO_FRESH_POSE
     assert controller.observe(1.01, START)
     assert not controller.observe(0.9, ORIGIN)
     assert not controller.observe(1.01, ORIGIN)
     assert controller.late_poses == 2
     decision = controller.decide(1.0)
-    assert decision.mode is Mode.TRACKING
+    assert decision.mode is Kind.TRACKING
     np.testing.assert_array_equal(decision.state[POSE], START)
 
 
@@ -167,7 +167,7 @@ def test_strategy_that_fails_leaves_the_hold_in_force_which_ends_at_rest(
         time = k * PERIOD
         controller.observe(time, START)
         decision = controller.decide(time)
-        assert decision.mode is Mode.FALLBACK and not decision.solved
+        assert decision.mode is Kind.FALLBACK and not decision.solved
         assert decision.plan.status is PlanStatus.FALLBACK
         assert decision.plan.message == controller.last_failure != ""
         assert controller.commit(decision, time) is not None
@@ -178,7 +178,7 @@ def test_strategy_that_fails_leaves_the_hold_in_force_which_ends_at_rest(
     assert controller.failures == 3
     assert strategy.resets == resets + 3, "no invalid warm start is kept"
     setattr(strategy, kind, None) if kind != "plan" else delattr(strategy, kind)
-    assert sample(controller, 4 * PERIOD - 0.1) is Mode.TRACKING
+    assert sample(controller, 4 * PERIOD - 0.1) is Kind.TRACKING
 
 
 def test_disabled_controller_ramps_to_rest_and_resumes_when_enabled(
@@ -188,7 +188,7 @@ def test_disabled_controller_ramps_to_rest_and_resumes_when_enabled(
     controller.enabled = False
     controller.observe(0.4, START)
     decision = controller.decide(0.4)
-    assert decision.mode is Mode.DISABLED
+    assert decision.mode is Kind.DISABLED
     hold = controller.commit(decision, 0.4)
     assert hold is not None
     ramp_is_safe(hold)
@@ -196,7 +196,7 @@ def test_disabled_controller_ramps_to_rest_and_resumes_when_enabled(
     controller.enabled = True
     controller.observe(0.9, START)
     assert controller.awaits_start(1.0) and not controller.awaits_start(0.41)
-    assert sample(controller, 1.0) is Mode.TRACKING
+    assert sample(controller, 1.0) is Kind.TRACKING
     controller.enabled = False
     controller.commit(controller.decide(1.0), 1.0)
     np.testing.assert_array_equal(controller.speeds_at(1.0 + PERIOD), [0.0, 0.0])
@@ -205,9 +205,9 @@ def test_disabled_controller_ramps_to_rest_and_resumes_when_enabled(
 def test_forgetting_keeps_the_goal_only(controller: Controller) -> None:
     track(controller, 100.0)
     controller.forget()
-    assert controller.decide(100.2).mode is Mode.NO_POSE
+    assert controller.decide(100.2).mode is Kind.NO_POSE
     assert controller.observe(0.0, START)  # the clock was set back
-    assert sample(controller, 0.0) is Mode.TRACKING
+    assert sample(controller, 0.0) is Kind.TRACKING
     np.testing.assert_array_equal(controller.goal, ORIGIN)
 
 
@@ -256,7 +256,7 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
         assert controller.last_failure == "ArithmeticError: made to fail"
     controller.enabled = True
     controller.observe(time + 0.1, START)
-    assert sample(controller, time + 0.1) is Mode.TRACKING
+    assert sample(controller, time + 0.1) is Kind.TRACKING
 
 
 def test_strategy_that_fails_in_every_call_and_cannot_be_made_again_does_not_stop_the_loop(
@@ -281,7 +281,7 @@ def test_strategy_that_fails_in_every_call_and_cannot_be_made_again_does_not_sto
     controller = Controller(settings, ROBOT)
     assert controller.set_goal(ORIGIN)
     assert controller.observe(0.0, START)
-    assert sample(controller, 0.0) is Mode.FALLBACK
+    assert sample(controller, 0.0) is Kind.FALLBACK
     controller.change(replace(settings, goal_tolerance=0.02))
     assert controller.failures >= 4 and controller.last_failure == "RuntimeError: no second one"
     assert controller.cancel()
@@ -302,9 +302,9 @@ def test_estimated_slope_saturates_the_rotors_and_is_reported() -> None:
     np.testing.assert_allclose(found.decisions[-1].disturbance.slope, expected, atol=0.3)
     # One rotor takes cos 0.5 of 24.4 rad/s^2: it is full after 4.7 s.
     modes = [decision.mode for decision in found.decisions]
-    first = modes.index(Mode.SATURATED) * settings.period
+    first = modes.index(Kind.SATURATED) * settings.period
     assert 4.5 <= first <= 5.5
-    assert set(modes[modes.index(Mode.SATURATED) :]) == {Mode.SATURATED}
+    assert set(modes[modes.index(Kind.SATURATED) :]) == {Kind.SATURATED}
     assert np.max(np.abs(found.speeds)) == ROBOT.max_rotor_speed
     # At rest on the goal for the second before.
     away = np.linalg.norm(found.states[360:460] - ORIGIN, axis=1)

@@ -12,6 +12,7 @@ import pytest
 from delayed_worker import DelayedWorker
 from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import Layers
@@ -36,7 +37,7 @@ from sphere_nmpc.strategy.clearance import (
     profile_of,
 )
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import PlanStatus, Unreachable
+from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal.background import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.lines import line_hold, speeds_along
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -209,13 +210,13 @@ def test_a_goal_near_a_wall_is_reached() -> None:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize(("x", "y", "kind", "reason"), [
-    (3.05, 0.5, Unreachable.GOAL_OCCUPIED, "it is occupied"),
-    (-1.0, 0.5, Unreachable.GOAL_OUTSIDE, "outside of the floor"),
-    (0.31, 2.0, Unreachable.GOAL_OCCUPIED,
+    (3.05, 0.5, Kind.GOAL_OCCUPIED, "it is occupied"),
+    (-1.0, 0.5, Kind.GOAL_OUTSIDE, "outside of the floor"),
+    (0.31, 2.0, Kind.GOAL_OCCUPIED,
      "0.31 m from what is occupied, less than radius and clearance, 0.32 m"),
 ])
 def test_goals_that_cannot_be_are_refused(
-    x: float, y: float, kind: Unreachable, reason: str, strategy: str
+    x: float, y: float, kind: Kind, reason: str, strategy: str
 ) -> None:
     settings = ControllerSettings(strategy=strategy)
     loop = Loop(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y), settings)
@@ -237,8 +238,8 @@ def test_what_an_area_keeps_from_its_goal_may_reach_it_later() -> None:
     area = np.array([[3.5, -1.0], [5.5, -1.0], [5.5, 5.0], [3.5, 5.0]])
     for walls, goal, kind in (
         (DOORWAY, pose(4.5, 1.0), None),  # in the area
-        (DOORWAY, pose(3.05, 0.5), Unreachable.GOAL_OCCUPIED),
-        ([(3.0, 0.0, 3.1, 4.0)], pose(5.9, 1.0), Unreachable.GOAL_OCCUPIED),  # too near the edge
+        (DOORWAY, pose(3.05, 0.5), Kind.GOAL_OCCUPIED),
+        ([(3.0, 0.0, 3.1, 4.0)], pose(5.9, 1.0), Kind.GOAL_OCCUPIED),  # too near the edge
     ):
         loop = Loop(with_area(floor_of(walls), area), pose(1.0, 3.0), goal)
         loop.run(1.0)
@@ -248,7 +249,7 @@ def test_what_an_area_keeps_from_its_goal_may_reach_it_later() -> None:
     assert "place of the sphere" in loop.given_up and loop.decision.plan.unreachable is None
     loop = Loop(floor_of(DOORWAY), pose(3.05, 0.5), pose(1.0, 1.0))
     loop.run(0.5)
-    assert loop.decision.plan.unreachable is Unreachable.START_OCCUPIED
+    assert loop.decision.plan.unreachable is Kind.START_OCCUPIED
 
 
 def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
@@ -257,7 +258,7 @@ def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
     loop = Loop(closed, pose(1.0, 3.0), goal)
     loop.run(3.0)
     assert "no way" in loop.given_up
-    assert loop.decision.plan.unreachable is Unreachable.NO_WAY
+    assert loop.decision.plan.unreachable is Kind.NO_WAY
     assert (loop.places == loop.places[0]).all()
     loop.controller.floor = floor_of(DOORWAY)
     loop.run(12.0)

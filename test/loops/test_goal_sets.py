@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sampled_loop import SampledLoop
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, position_error, upright_state, without_momentum
@@ -43,7 +43,7 @@ def reached(loop: SampledLoop, goal: Goal) -> SampledLoop:
     """Return the loop after it has run to a goal, which it stays at."""
     loop.controller.set_goal(goal)
     loop.run(14.0)
-    assert loop.decision.mode is Mode.AT_GOAL, loop.decision.plan.message
+    assert loop.decision.mode is Kind.AT_GOAL, loop.decision.plan.message
     assert loop.decision.error < 1e-2
     assert loop.controller.failures == 0
     return loop

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sampled_loop import SampledLoop
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.monitors import relative_error
 from sphere_nmpc.model.goal import Goal, GoalSequence
 from sphere_nmpc.model.state import Vector, state_error, upright_state
@@ -58,7 +58,7 @@ def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
         assert not controller.at_goal, "other goals follow"
         assert min(state_error(state, pose) for state in loop.states) < 1e-2
     loop.run(LONGEST)
-    assert controller.at_goal and loop.decision.mode is Mode.AT_GOAL
+    assert controller.at_goal and loop.decision.mode is Kind.AT_GOAL
     assert state_error(loop.pose, SQUARE[-1]) < 1e-2
     assert controller.set_goals(goal_sequence(*SQUARE)), "all were visited: once more"
     assert controller.goal_sequence.index == 0
@@ -109,7 +109,7 @@ def test_arrival_and_distance_are_told_from_the_first_plan_on() -> None:
     while loop.simulator.time < LONGEST:
         loop.run(loop.settings.control_period)
         now, plan = loop.simulator.time, loop.decision.plan
-        if loop.decision.mode is Mode.AT_GOAL:
+        if loop.decision.mode is Kind.AT_GOAL:
             break
         arrivals.append(plan.arrival)
         ways.append(plan.distance_left(now))

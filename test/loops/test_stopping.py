@@ -6,7 +6,7 @@ import pytest
 from paths import largest_distance
 from sampled_loop import SampledLoop
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.state import POSE, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
@@ -38,7 +38,7 @@ def test_sphere_stops_on_its_path_and_goes_on_when_told(
         assert controller.cancel()
     else:
         controller.enabled = False
-    stopped = Mode.NO_GOAL if cancels else Mode.DISABLED
+    stopped = Kind.NO_GOAL if cancels else Kind.DISABLED
     assert loop.sample() is stopped
     assert loop.in_force.end - time < 0.5
     loop.advance(0.1)
@@ -65,7 +65,7 @@ def test_sphere_without_poses_stops_on_its_path(scenario: Scenario) -> None:
     for _ in range(6):
         modes.add(loop.sample(seen=False))
         loop.advance(PERIOD)
-    assert Mode.NO_FRESH_POSE in modes
+    assert Kind.NO_FRESH_POSE in modes
     assert not loop.simulator.plant.rotor_speeds.any()
     assert largest_distance(loop.states, path) < OFF
 

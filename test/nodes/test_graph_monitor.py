@@ -9,25 +9,25 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.controller.monitor import SILENCE_LIMIT, GraphState, find_faults
 from sphere_nmpc.ros.graph_monitor import (
     INVALID,
     UNKNOWN,
-    GraphFault,
     GraphMonitor,
     full_name,
 )
 
 LONG = 10.0 * SILENCE_LIMIT
-NAMELESS = GraphFault("other publisher of /pose", f"given 2 (/simulator, {UNKNOWN})")
-NAMED = GraphFault("other publisher of /pose", "given 2 (/simulator, /simulator)")
+NAMELESS = Condition(Kind.OTHER_PUBLISHER, f"given 2 (/simulator, {UNKNOWN})", "/pose")
+NAMED = Condition(Kind.OTHER_PUBLISHER, "given 2 (/simulator, /simulator)", "/pose")
 
 
 @pytest.mark.parametrize(
     ("pose_silence", "pose_age", "kinds"),
-    [(0.1, 0.0, []), (0.1, -5.0, ["clock stopped"]), (LONG, 0.0, ["clock stopped"])],
+    [(0.1, 0.0, []), (0.1, -5.0, [Kind.CLOCK_ENDED]), (LONG, 0.0, [Kind.CLOCK_ENDED])],
     ids=["paused", "no clock messages", "ended"],
 )
 def test_stopped_clock_is_a_fault_unless_the_simulator_repeats_its_last_pose(
@@ -58,7 +58,7 @@ def test_advice_on_stamps_of_another_clock_leads_in_no_circle(
     (fault,) = find_faults(GraphState(
         follows_clock, 1.0, 0.0, 0.0, age, 0.5, clocks, ["/bridge"], has_stamp=has_stamp
     ))
-    assert advice in fault.message
+    assert advice in fault.text
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_fault_is_logged_once_when_the_name_of_the_node_is_known(
     for fault in seen:
         monitor.update([fault])
         assert monitor.faults[0] == fault, "the status has it at once"
-    assert lines == [f"{fault.kind}: {fault.message}" for fault in logged]
+    assert lines == [str(fault) for fault in logged]
 
 
 def test_publisher_of_another_type_is_none_of_the_topic_and_named_where_it_is_alone(graph) -> None:
@@ -104,9 +104,9 @@ def test_publisher_of_another_type_is_none_of_the_topic_and_named_where_it_is_al
     probe.create_subscription(PoseStamped, "pose", print, 10)
     probe.create_publisher(Clock, "/clock", 10)
     graph.until(lambda: [probe.count_publishers(it) for it in ("/pose", "/clock")] == [1, 2])
-    graph.until(lambda: UNKNOWN not in monitor.incompatible()[0].message)
+    graph.until(lambda: UNKNOWN not in monitor.incompatible()[0].text)
     (alone,) = monitor.incompatible()
-    assert f"{alone.kind}: {alone.message}" == (
+    assert str(alone) == (
         "other type on /pose: given a publisher of /pose of type "
         "geometry_msgs/msg/PoseWithCovarianceStamped (/localiser), expected "
         "geometry_msgs/msg/PoseStamped; its messages are not received: remap one side, "

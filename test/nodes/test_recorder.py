@@ -157,7 +157,7 @@ def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path)
     assert types == {
         "/pose": "geometry_msgs/msg/PoseStamped", "/controller/any": "std_msgs/msg/String",
     }
-    assert sorted(fault.kind for fault in node._monitor.faults) == [
+    assert sorted(fault.name for fault in node._monitor.faults) == [
         "other type on /controller/any", "other type on /pose",
     ]
 

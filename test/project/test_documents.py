@@ -29,7 +29,7 @@ from documented_topics import types_of
 from launch_stand_in import LAUNCH, ROOT, started
 from parameter_tables import NODES, OF_ROBOT, PARTS
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
@@ -325,10 +325,21 @@ def test_wrong_command_is_refused(line, wrong) -> None:
     assert wrong in str(caught.value)
 
 
-def test_glossary_has_each_mode_of_the_status() -> None:
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (.+?) \|", text.partition("## The status")[2], re.MULTILINE)
-    assert rows[1:] == [mode.value for mode in Mode]
+def test_documents_have_each_kind_of_condition_with_its_level() -> None:
+    """Modes are in the glossary, warnings in the document on them, the rest with the topics."""
+    glossary, warnings, topics = (
+        (ROOT / name).read_text(encoding="utf-8")
+        for name in ("docs/glossary.md", "docs/when_it_does_not_move.md", "msg_docs/topics.md")
+    )
+    row = re.compile(r"^\| ([^|]+?) \| (OK|WARN|STALE|ERROR) \|", re.MULTILINE)
+    modes = row.findall(glossary)
+    assert [(kind.value, kind.severity.name) for kind in Kind][: len(modes)] == modes
+    told = {(words.partition(": ")[0], level) for words, level in row.findall(warnings)}
+    kinds = {(kind.log, kind.severity.name) for kind in Kind}
+    topic = re.compile(r"(publisher of|type on|QoS on) .*")
+    assert {(topic.sub(r"\1 …", words), level) for words, level in told} <= kinds
+    for kind in list(Kind)[len(modes) :]:
+        assert kind.log in (topics if kind.is_unreachable else warnings)
 
 
 def anchors(document: Path) -> set[str]:

@@ -38,7 +38,7 @@ FLOORS = {
         ("solver", "settings"),
         ("model",),
         ("quantity", "fault_log", "worker", "foreign_file"),
-        ("child", "errors", "library_threads"),
+        ("child", "errors", "library_threads", "conditions"),
         ("foreign_text", "channel", "own_folder"),
     ),
 }

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from paths import moved
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, without_momentum
@@ -52,7 +53,7 @@ class SampledLoop:
         """The pose of the sphere now, shape (6,)."""
         return self.simulator.plant.state[POSE]
 
-    def sample(self, seen: bool = True) -> Mode:
+    def sample(self, seen: bool = True) -> Kind:
         """Let the controller decide for now; `seen` says whether it gets a pose."""
         now = self.simulator.time
         if seen:

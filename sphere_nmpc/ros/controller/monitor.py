@@ -12,11 +12,11 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.timing import MissedSamples
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.graph_monitor import (
-    GraphFault,
     GraphMonitor,
     further_publishers,
     several_publishers,
@@ -25,7 +25,6 @@ from sphere_nmpc.ros.graph_monitor import (
 SILENCE_LIMIT = 1.25
 """Silence after which a topic counts as missing [s, wall]. Nodes that start together have
 discovered each other by then, and with checks every half second faults are logged within two."""
-_NO_POSE = "no pose"
 _OTHER_CLOCK_AGE = 1e6
 """Age of a pose beyond which its stamp is of another kind of clock, not merely late [s]."""
 _COMPARE_EVERY = 1.0
@@ -54,14 +53,14 @@ class ControllerMonitor:
         self._samples = MissedSamples()
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
-        self._incompatible: list[GraphFault] = []
+        self._incompatible: list[Condition] = []
         # Until then a publisher of another type may be the only one that has been discovered.
         self._compared_at = self._pose_seen_at + SILENCE_LIMIT - _COMPARE_EVERY
         self._pose_received = False
 
     @property
-    def faults(self) -> list[GraphFault]:
-        """The present faults, the most severe first."""
+    def faults(self) -> tuple[Condition, ...]:
+        """The present faults, the worst first."""
         return self._graph.faults
 
     def pose_received(self, age: float, stamp: int) -> None:
@@ -82,7 +81,7 @@ class ControllerMonitor:
 
     def check(
         self, now: float | None, follows_clock: bool, jump: float, pose_timeout: float,
-        further: Sequence[GraphFault], instants: tuple[int, int, float],
+        further: Sequence[Condition], instants: tuple[int, int, float],
     ) -> None:
         """Update the faults at control time `now` [s], None before the first message on /clock.
 
@@ -112,37 +111,38 @@ class ControllerMonitor:
             )
         )
         inexact = self.stamps.fault()
-        if inexact:
-            found.append(GraphFault("inexact stamps", inexact, severe=False))
+        if inexact is not None:
+            found.append(inexact)
         found += self._missed_samples(wall, *instants)
         senders = graph.publishers(self._command_topic, JointTrajectory)
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
         )
         if jump:
-            found.append(GraphFault(
-                "clock jumped", f"given a step of {jump:+.6g} s, expected a clock that runs on; "
+            found.append(Condition(
+                Kind.CLOCK_JUMPED,
+                f"given a step of {jump:+.6g} s, expected a clock that runs on; "
                 "nothing is sent until it does",
             ))
         if wall >= self._compared_at + _COMPARE_EVERY:
             self._compared_at, self._incompatible = wall, graph.incompatible()
-        if any(fault.kind.endswith(f" {self.pose_topic}") for fault in self._incompatible):
-            found = [fault for fault in found if fault.kind != _NO_POSE]
+        if any(fault.subject == self.pose_topic for fault in self._incompatible):
+            found = [fault for fault in found if fault.kind is not Kind.POSE_MISSING]
         graph.update([*self._incompatible, *found, *further])
 
     def _missed_samples(
         self, wall: float, used: int, missed: int, period: float
-    ) -> list[GraphFault]:
+    ) -> list[Condition]:
         self._samples.read(wall, used, missed)
         if not self._samples.share:
             return []
         return [
-            GraphFault(
-                "missed samples", f"given {100.0 * self._samples.share:.3g} % of the sampling "
+            Condition(
+                Kind.MISSED_SAMPLES,
+                f"given {100.0 * self._samples.share:.3g} % of the sampling "
                 f"instants of the last {self._samples.span:.0f} s without a plan, at "
                 f"{1.0 / period:.4g} Hz, expected none; a lower control_rate, thread_priority: 1 "
                 "or a free processor core helps",
-                severe=False,
             )
         ]
 
@@ -172,46 +172,50 @@ class GraphState:
     """Whether the newest pose has a stamp other than 0."""
 
 
-def find_faults(seen: GraphState) -> list[GraphFault]:
-    """Return the faults of clock and poses around a controller, the most severe first."""
+def find_faults(seen: GraphState) -> list[Condition]:
+    """Return the faults of clock and poses around a controller."""
     found = _no_time(seen) or _no_pose(seen) or _wrong_clock(seen)
     clocks = seen.clocks if seen.follows_clock else ()
     further = further_publishers(seen.pose_topic, seen.poses, seen.clock_topic, clocks)
-    return [GraphFault(*found), *further] if found else further
+    return [found, *further] if found else further
 
 
-def _no_time(seen: GraphState) -> tuple[str, str] | None:
+def _no_time(seen: GraphState) -> Condition | None:
     """Return the fault of a clock that is not published or has stopped."""
     if not seen.follows_clock or seen.clock_silence < SILENCE_LIMIT:
         return None
     topic, stopped = seen.clock_topic, f"since t = {seen.time:.3f} s, expected"
     if math.isnan(seen.time):
         if seen.clocks:
-            return "no clock", (
+            return Condition(
+                Kind.CLOCK_MISSING,
                 f"given a publisher of {topic} ({seen.clocks[0]}) that has sent nothing for "
-                f"{SILENCE_LIMIT:g} s, expected its messages; restart it"
+                f"{SILENCE_LIMIT:g} s, expected its messages; restart it",
             )
         remedy = "start a simulator, or on a real robot -p use_sim_time:=false"
         if seen.other_clocks:
             other = f"-r /clock:={seen.other_clocks[0]} follows the clock that is there"
             remedy = f"{other}, or {remedy}"
-        return "no clock", (
-            f"given use_sim_time: true and no publisher of {topic}, expected one; {remedy}"
+        return Condition(
+            Kind.CLOCK_MISSING,
+            f"given use_sim_time: true and no publisher of {topic}, expected one; {remedy}",
         )
     if seen.pose_silence < SILENCE_LIMIT:
         # A simulator that is paused, or waits in lockstep, repeats its last pose.
-        return ("clock stopped", (
+        return Condition(
+            Kind.CLOCK_ENDED,
             f"given poses but no message on {topic} {stopped} both from one simulator; find out "
-            f"what blocks {topic}"
-        )) if seen.pose_age < -seen.pose_timeout else None
+            f"what blocks {topic}",
+        ) if seen.pose_age < -seen.pose_timeout else None
     cause = "its publisher hangs or was killed" if seen.clocks else "its publisher is gone"
-    return "clock stopped", (
+    return Condition(
+        Kind.CLOCK_ENDED,
         f"given nothing on {topic} and {seen.pose_topic} {stopped} a running simulator; {cause}: "
-        "restart it"
+        "restart it",
     )
 
 
-def _no_pose(seen: GraphState) -> tuple[str, str] | None:
+def _no_pose(seen: GraphState) -> Condition | None:
     """Return the fault of poses that are not published or not received."""
     if seen.pose_silence < SILENCE_LIMIT:
         return None
@@ -220,10 +224,13 @@ def _no_pose(seen: GraphState) -> tuple[str, str] | None:
     if seen.poses:
         given = f"a publisher of {seen.pose_topic} ({seen.poses[0]}) but none of its messages"
         remedy = f"'ros2 topic info -v {seen.pose_topic}' shows its quality of service"
-    return _NO_POSE, f"given {given} for {SILENCE_LIMIT:g} s, expected 20 Hz or more; {remedy}"
+    return Condition(
+        Kind.POSE_MISSING,
+        f"given {given} for {SILENCE_LIMIT:g} s, expected 20 Hz or more; {remedy}",
+    )
 
 
-def _wrong_clock(seen: GraphState) -> tuple[str, str] | None:
+def _wrong_clock(seen: GraphState) -> Condition | None:
     """Return the fault of poses that are stamped on another clock than the node's."""
     age = seen.pose_age
     # A single pose ahead of the clock is refused and logged by itself; nan is before the first.
@@ -232,24 +239,26 @@ def _wrong_clock(seen: GraphState) -> tuple[str, str] | None:
     if seen.follows_clock and seen.clock_silence >= SILENCE_LIMIT:
         return None  # paused
     if not seen.has_stamp:
-        return "no stamp", (
+        return Condition(
+            Kind.NO_STAMP,
             f"given poses on {seen.pose_topic} with the stamp 0, expected the time of "
             "measurement on this node's clock; the program that publishes them has to set "
-            "header.stamp"
+            "header.stamp",
         )
-    kind = "wrong clock"
+    kind = Kind.WRONG_CLOCK
     remedy = "synchronise the clocks of the machines (chrony), or raise pose_timeout"
     if not seen.follows_clock and age > _OTHER_CLOCK_AGE:
         remedy = "they are in simulated time: start this node with -p use_sim_time:=true"
         if not seen.clocks:  # with it, this node would wait for a clock for ever
-            kind = "unknown clock"
+            kind = Kind.UNKNOWN_CLOCK
             remedy = (
                 f"nothing publishes {seen.clock_topic}, so that it is no simulated time: the "
                 "program that publishes them has to set header.stamp by the system clock"
             )
     elif seen.follows_clock and age < -_OTHER_CLOCK_AGE:
         remedy = "they are on the system clock: start this node with -p use_sim_time:=false"
-    return kind, (
+    return Condition(
+        kind,
         f"given poses with stamps {abs(age):.3g} s {'behind' if age > 0.0 else 'ahead of'} this "
-        f"node's clock, expected at most {seen.pose_timeout:g} s; {remedy}"
+        f"node's clock, expected at most {seen.pose_timeout:g} s; {remedy}",
     )

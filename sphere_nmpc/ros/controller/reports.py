@@ -4,7 +4,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from time import perf_counter
 from typing import Any
 
@@ -15,38 +15,20 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
+from sphere_nmpc.conditions import ERROR, OK, WARN, Condition, Kind, Severity, worst_first
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import rotor_reserve
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force
-from sphere_nmpc.ros.diagnostics import ERROR, OK, STALE, WARN, status, status_name
+from sphere_nmpc.ros.diagnostics import status, status_name
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros, stamp_of
 from sphere_nmpc.settings import ControllerSettings
 
-_LEVELS = {
-    Mode.TRACKING: OK,
-    Mode.AT_GOAL: OK,
-    Mode.NO_PROGRESS: WARN,
-    Mode.SATURATED: ERROR,
-    Mode.NO_GOAL: OK,
-    Mode.NO_CLOCK: STALE,
-    Mode.CLOCK_STOPPED: WARN,
-    Mode.CLOCK_JUMPED: WARN,
-    Mode.DISABLED: OK,
-    Mode.NO_POSE: STALE,
-    Mode.NO_FRESH_POSE: ERROR,
-    Mode.POSE_JUMPED: WARN,
-    Mode.FALLBACK: WARN,
-}
-_OF_GOAL = (Mode.NO_GOAL, Mode.TRACKING, Mode.AT_GOAL, Mode.NO_PROGRESS)
-"""Modes that depend on the goal."""
-_NO_PROGRESS = "no progress"
-"""Kind of the fault of a sphere that stands away from its goal."""
 _KEPT = 1000
 """Newest plans whose durations the percentiles are taken of."""
 _STATUS_EVERY = 0.0499
@@ -95,7 +77,7 @@ class ControllerReports:
         """Sampling instants since the start."""
         self._lasting = LastingFaults(fault_log, lambda line: node.get_logger().info(line))
         self._last_tick = float("nan")
-        self._last_status = (float("-inf"), Mode.NO_POSE)
+        self._last_status = (float("-inf"), Kind.NO_POSE)
         self._goal = node.create_publisher(PoseStamped, "~/active_goal", LATCHED)
         self._at_goal = node.create_publisher(Bool, "~/at_goal", LATCHED)
         self._at_goal_published: bool | None = None
@@ -105,8 +87,9 @@ class ControllerReports:
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
-        self._message = Mode.NO_POSE.value
-        self._warned = False
+        self._warnings: tuple[Condition, ...] = ()
+        """Those of the last status, the worst first."""
+        self._plan_message = Kind.NO_POSE.value
         self._status_at = perf_counter()
         self._publish_arrival()
 
@@ -123,7 +106,7 @@ class ControllerReports:
             )
         self._last_status = (float("-inf"), self._last_status[1])
         if is_new:
-            self._is_outdated, self._warned = True, False
+            self._is_outdated, self._warnings = True, ()
         self._publish_arrival()
 
     def _publish_progress(self, time: float, epoch: int) -> bool:
@@ -137,23 +120,24 @@ class ControllerReports:
         return True
 
     @property
-    def _mode(self) -> Mode:
+    def _mode(self) -> Kind:
         """Mode at present, also between sampling instants."""
         if math.isnan(self._monitor.time):
-            return Mode.NO_CLOCK
+            return Kind.NO_CLOCK
         if self._monitor.stands_still:
-            return Mode.CLOCK_STOPPED
+            return Kind.CLOCK_STOPPED
         if not self._monitor.is_steady:
-            return Mode.CLOCK_JUMPED
-        if self._decision is None:
-            return Mode.NO_POSE
-        mode, controller = self._decision.mode, self._controller
-        if mode in _OF_GOAL:
+            return Kind.CLOCK_JUMPED
+        decision, controller = self._decision, self._controller
+        if decision is None:
+            return Kind.NO_POSE
+        mode = decision.mode
+        if decision.solved or mode is Kind.NO_GOAL:
             if controller.goal_sequence is None:
-                return Mode.NO_GOAL
-            is_past = mode is Mode.NO_PROGRESS and self._is_outdated
-            if is_past or (mode is Mode.AT_GOAL and not controller.at_goal):
-                return Mode.TRACKING
+                return Kind.NO_GOAL
+            is_past = mode is Kind.NO_PROGRESS and self._is_outdated
+            if is_past or (mode is Kind.AT_GOAL and not controller.at_goal):
+                return Kind.TRACKING
         return mode
 
     def update(self) -> None:
@@ -175,15 +159,17 @@ class ControllerReports:
             values |= {"giving_up": "", "unreachable": "", "no_progress": ""}
         values["at_rest"] = not math.isnan(time) and self._controller.is_at_rest(time)
         is_same = mode is self._last_status[1] and not self._is_outdated
-        message = self._message if is_same else mode.value
-        self._publish_status(mode, message, values)
+        message = self._plan_message if is_same else mode.value
+        self._publish_status(mode, self._warnings if is_same else (), message, values)
 
-    def _publish_status(self, mode: Mode, message: str, values: dict[str, Any]) -> None:
-        """Publish a status; a fault around the node takes precedence over `message`."""
-        level, found = max(_LEVELS[mode], WARN if self._warned else OK), self._monitor.faults
-        if found:
-            message = f"{found[0].kind}: {found[0].message}"
-            level = ERROR if found[0].severe else max(level, WARN)
+    def _publish_status(
+        self, mode: Kind, warnings: Sequence[Condition], message: str, values: dict[str, Any]
+    ) -> None:
+        """Publish a status; the worst fault or warning takes precedence over `message`."""
+        told = worst_first((*self._monitor.faults, *warnings))
+        level = mode.severity
+        if told:
+            level, message = max(level, told[0].kind.severity), str(told[0])
         self._status_at = perf_counter()
         values = {
             **values, **goals_in_force(self._controller.goal_sequence, self._active_goal),
@@ -224,59 +210,55 @@ class ControllerReports:
         self._tick_times.append(duration)
         self._gaps.append(wall - self._last_tick)
         self._last_tick = wall
-        plan, solved = decision.plan, decision.solved
+        plan, solved, mode = decision.plan, decision.solved, decision.conditions[0].kind
         if solved:
             if decision.is_new:
                 self._solve_times.append(plan.solve_time)
-        elif decision.mode is Mode.FALLBACK:
-            self._fault_log.report("solve failed", plan.message)
+        elif mode is Kind.FALLBACK:
+            self._fault_log.report(Kind.FALLBACK.log, plan.message)
         self._status_values.update(decision, time)
         if self._publish_progress(time, epoch):
             return  # the decision is about the goal before
         self._publish_arrival()
-        last, mode = self._last_status
-        if decision.mode is mode and 0.0 <= time - last < _STATUS_EVERY:
+        last, before = self._last_status
+        if mode is before and 0.0 <= time - last < _STATUS_EVERY:
             return
-        self._last_status = (time, decision.mode)
-        self._log_failures(decision.mode)
-        warnings = self._warnings(decision) if solved else {}
-        self._lasting.update(warnings)
+        self._last_status = (time, mode)
+        self._log_failures(mode)
+        self._warnings = warnings = self._find_warnings(decision)
+        self._lasting.update({one.name: one.text for one in warnings if decision.solved})
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
-        self._message = plan.message or plan.status.value
-        if decision.mode is Mode.POSE_JUMPED:
-            self._message = f"{decision.mode.value}: {self._controller.pose_gate.last_jump}"
-        self._warned = bool(warnings)
-        for kind, text in warnings.items():
-            self._message = f"{kind}: {text}"
-        self._publish_status(decision.mode, self._message, self._values)
+        self._plan_message = plan.message or plan.status.value
+        self._publish_status(mode, warnings, self._plan_message, self._values)
         self._eta.publish(Float64(data=float(self._values["time_left_s"])))
         # Making the path takes as long as a plan.
         if len(plan.states) and self._path.get_subscription_count() > 0:
             times, radius = plan.hold.times, self._robot.shell_radius
             self._path.publish(path_to_ros(times, plan.states, radius, epoch, self._frame))
 
-    def _log_failures(self, mode: Mode) -> None:
+    def _log_failures(self, mode: Kind) -> None:
         """Log what has failed since the last status, but for solves: a pose or a command."""
-        log, controller = self._fault_log, self._controller
-        if log.has_risen("controller failed", controller.failures) and mode is not Mode.FALLBACK:
-            log.report("controller failed", controller.last_failure)
-        gate = controller.pose_gate
-        if log.has_risen("pose jumped", gate.jumps):
-            log.report("pose jumped", gate.last_jump)
-        if log.has_risen("pose left out", gate.outliers):
-            log.report("pose left out", gate.last_outlier)
+        log, controller, gate = self._fault_log, self._controller, self._controller.pose_gate
+        for kind, count, text in (
+            (Kind.CONTROLLER_FAILED, controller.failures, controller.last_failure),
+            (Kind.POSE_JUMPED, gate.jumps, gate.last_jump),
+            (Kind.POSE_LEFT_OUT, gate.outliers, gate.last_outlier),
+        ):
+            is_told = kind is Kind.CONTROLLER_FAILED and mode is Kind.FALLBACK
+            if log.has_risen(kind.log, count) and not is_told:
+                log.report(kind.log, text)
 
-    def _warnings(self, decision: Decision) -> dict[str, str]:
-        """Return what keeps the sphere from its goal, or will soon, by kind; the worst last."""
-        goal = decision.goal
-        if goal is None:
-            return {}
-        missing = {_NO_PROGRESS: decision.no_progress} if decision.no_progress else {}
-        return missing | rotor_reserve(
-            decision.momentum, decision.disturbance, self._robot, goal
-        )
+    def _find_warnings(self, decision: Decision) -> tuple[Condition, ...]:
+        """Return what keeps the sphere from its goal, or will soon; the worst first."""
+        found = [one for one in decision.conditions if one.text]
+        if decision.solved and decision.goal is not None:
+            rotors = rotor_reserve(
+                decision.momentum, decision.disturbance, self._robot, decision.goal
+            )
+            found = [rotors, *found] if rotors else found
+        return worst_first(found)
 
-    def solver(self) -> tuple[bytes, str, Mapping[str, Any]]:
+    def solver(self) -> tuple[Severity, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about solve times and failures."""
         median, p99, most = _percentiles(self._solve_times)
         values = {
@@ -286,13 +268,13 @@ class ControllerReports:
             "max ms": most,
             "failures": self._controller.failures,
         }
-        if self._decision is not None and self._decision.mode is Mode.FALLBACK:
+        if self._decision is not None and self._decision.mode is Kind.FALLBACK:
             return ERROR, self._decision.plan.message, values
         if p99 > self._period * 1e3:
             return WARN, "solving takes longer than the control period", values
         return OK, "solving" if self._solve_times else "nothing solved yet", values
 
-    def loop(self) -> tuple[bytes, str, Mapping[str, Any]]:
+    def loop(self) -> tuple[Severity, str, Mapping[str, Any]]:
         """Return level, message and values of the diagnostics about ticks and the pose's age."""
         ticks = self.ticks - self._ticks_reported
         self._ticks_reported = self.ticks
@@ -313,10 +295,9 @@ class ControllerReports:
         }
         mode, found = self._mode, self._monitor.faults
         if found:
-            return ERROR if found[0].severe else WARN, found[0].kind, values
-        if mode is Mode.CLOCK_STOPPED:
-            return WARN, f"{mode.value} at {self._monitor.time:.3f} s", values
-        return _LEVELS[mode], mode.value, values
+            return max(mode.severity, found[0].kind.severity), found[0].name, values
+        at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
+        return mode.severity, f"{mode.value}{at}", values
 
 
 def _percentiles(times: Iterable[float]) -> tuple[float, float, float]:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision, Mode
+from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
 from sphere_nmpc.model.controllability import Controllability, controllability
 from sphere_nmpc.model.disturbance import (
@@ -122,7 +123,9 @@ class ControllerStatus:
             ),
             "giving_up": plan.given_up,
             "unreachable": "" if plan.unreachable is None else plan.unreachable.value,
-            "no_progress": decision.no_progress,
+            "no_progress": next(
+                (text for kind, text, _ in decision.conditions if kind is Kind.NO_PROGRESS), ""
+            ),
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
@@ -134,9 +137,9 @@ class ControllerStatus:
     def goal_values(self, decision: Decision | None, time: float) -> dict[str, Any]:
         """Return the values of the way to the goals, before a decision on them without one."""
         controller, left, way = self._controller, math.nan, math.nan
-        if decision is not None and decision.mode is Mode.AT_GOAL:
+        if decision is not None and decision.mode is Kind.AT_GOAL:
             left = 0.0
-        elif decision is not None and decision.mode is Mode.TRACKING:
+        elif decision is not None and decision.mode is Kind.TRACKING:
             left = float(np.maximum(0.0, decision.plan.arrival - time))  # nan if it is not known
         if decision is not None and decision.solved:
             way = decision.plan.distance_left(time)

@@ -17,13 +17,14 @@ where they are saturated by a slope they stay at their limits until it ends.
 import time
 from dataclasses import replace
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import SATURATED, AtRest
 from sphere_nmpc.strategy.clearance import stop_before_contact
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus, Unreachable
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import come_to_rest, stop
 from sphere_nmpc.strategy.time_optimal.machine import (
     Following,
@@ -131,7 +132,7 @@ class TimeOptimalStrategy:
         if search.no_way:
             lasts = situation.floor.lasting is situation.floor
             plan = stop(situation, robot, "no way to the goal", search.no_way)
-            return replace(plan, unreachable=Unreachable.NO_WAY) if lasts else plan
+            return replace(plan, unreachable=Kind.NO_WAY) if lasts else plan
         plan = stop(situation, robot, "no arrival found yet")
         given_up = stop_before_contact(situation, plan.hold)
         if not given_up and search.failed >= _MANY:

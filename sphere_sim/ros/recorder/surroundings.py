@@ -20,9 +20,9 @@ from rosbags.interfaces import (
     QosTime,
 )
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.graph_monitor import GraphFault
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX
 from sphere_sim.recording.recorder_settings import DEFAULT_TOPICS, absolute, matches_any
 
@@ -144,7 +144,7 @@ class MissingTopics:
         self._awaited = bool(self._names)
         self._due = time.monotonic() + _WITHIN
 
-    def faults(self) -> list[GraphFault]:
+    def faults(self) -> list[Condition]:
         """Return the fault that none of the topics has a publisher, if that goes on."""
         if not self._awaited:
             return []
@@ -165,4 +165,4 @@ class MissingTopics:
             namespace = topic.removesuffix(f"/{name}") or "/"
             remedy = f"there is {shown(topic)}: start this node with -r __ns:={shown(namespace)}"
         given = f"given no publisher of {wanted[0]}{more}, expected one"
-        return [GraphFault("nothing to record", f"{given}; {remedy}")]
+        return [Condition(Kind.NOTHING_TO_RECORD, f"{given}; {remedy}")]

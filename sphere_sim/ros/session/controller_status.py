@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_sim.recording.message_fields import ReportedProgress, reported_progress
 
 _REMEDIES = {
-    Mode.DISABLED.value: ("controller/enable", "true"),
-    Mode.CLOCK_STOPPED.value: ("simulator/pause", "false"),
+    Kind.DISABLED.value: ("controller/enable", "true"),
+    Kind.CLOCK_STOPPED.value: ("simulator/pause", "false"),
 }
 """Service that ends a state of the controller, and what to send to it."""
 
@@ -46,7 +46,7 @@ class ControllerStatus:
 
     def obstacle(self) -> str:
         """Return what keeps the controller from moving to its goal, with the remedy, or ""."""
-        words = [self.mode] if self.mode == Mode.DISABLED.value else []
+        words = [self.mode] if self.mode == Kind.DISABLED.value else []
         if self._message.level != DiagnosticStatus.OK:
             words.append(self._message.message)
         # Longer than other foreign texts, as the remedy is at the end.

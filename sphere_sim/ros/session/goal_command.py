@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import rclpy
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
@@ -61,7 +61,7 @@ def _outcome(request: GoalRequest, sender: GoalSender, spin: Callable[[], object
             took = wait_until_reached(sender, spin, display.update)
         return f"reached after {took:.2f} s{_error(status)}"
     # The newest decision may be one of before the goal.
-    serve_until(spin, lambda: status.mode != Mode.NO_GOAL.value, _ANSWER_TIMEOUT)
+    serve_until(spin, lambda: status.mode != Kind.NO_GOAL.value, _ANSWER_TIMEOUT)
     if obstacle := status.obstacle():
         return f"in force, but the controller waits: {obstacle}"
     return f"in force; {status.topic} reports the progress"

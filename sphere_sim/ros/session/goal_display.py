@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.foreign_text import printable_line
 from sphere_sim.output.live_display import LiveDisplay
 from sphere_sim.recording.message_fields import ReportedProgress
@@ -31,14 +31,14 @@ class GoalDisplay(LiveDisplay):
         """Show the newest status, unless it is about no goal."""
         if self._status.progress.count:
             self._way.add(self._status.progress)
-            last = self._status.mode == Mode.AT_GOAL.value
+            last = self._status.mode == Kind.AT_GOAL.value
             self.show(self._picture, self._line, last)
 
     def _picture(self) -> Table:
         left, picture = _left(self._status.progress), Table.grid(padding=(0, 2))
         for width in (_WIDTH, len(left), None):  # a narrow terminal cuts the last one
             picture.add_column(no_wrap=True, overflow="ellipsis", min_width=width)
-        done = 1.0 if self._status.mode == Mode.AT_GOAL.value else self._way.share
+        done = 1.0 if self._status.mode == Kind.AT_GOAL.value else self._way.share
         bar = ProgressBar(total=1.0, completed=done, width=_WIDTH)
         picture.add_row(bar, left, escape(self._mode))
         return picture

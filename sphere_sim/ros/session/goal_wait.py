@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_report import GoalReport, Patience
 from sphere_nmpc.control.navigation import NavigatorSettings
 from sphere_nmpc.errors import SphereNmpcError
@@ -62,7 +62,7 @@ def wait_until_reached(
         if reason := patience.exhausted(GoalReport.of(status.values), time.monotonic()):
             told = status.obstacle() or reason
             raise NotReachedError(f"the controller does not pursue it: {told}")
-        if status.mode == Mode.AT_GOAL.value and instant != sent:
+        if status.mode == Kind.AT_GOAL.value and instant != sent:
             break
     return elapsed
 
@@ -83,7 +83,7 @@ def cancel(sender: GoalSender, spin: Callable[[], object]) -> str:
         for _ in _new_messages(status, spin):
             if not status.progress.stamp and status.values.get("at_rest") == "true":
                 break
-            if status.mode == Mode.CLOCK_STOPPED.value:
+            if status.mode == Kind.CLOCK_STOPPED.value:
                 return f"cancelled; the sphere stops when time goes on, {status.obstacle()}"
     except NotReachedError as error:
         return f"cancelled; {error}"

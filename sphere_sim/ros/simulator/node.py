@@ -21,14 +21,15 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.conditions import OK, WARN, Condition, Kind, Severity
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.diagnostics import OK, WARN, Diagnostics
+from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
-from sphere_nmpc.ros.graph_monitor import GraphFault, GraphMonitor, publishers_of
+from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
 from sphere_nmpc.ros.messages import BODY_FRAME
@@ -292,7 +293,7 @@ class SimulatorNode(RunnableNode):
         response.message = f"running as far as t = {until / NANOSECONDS:.3f} s"
         return response
 
-    def _report_clock(self) -> tuple[bytes, str, Mapping[str, Any]]:
+    def _report_clock(self) -> tuple[Severity, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
         self._controllers.update()
         self._monitor.update([
@@ -311,7 +312,7 @@ class SimulatorNode(RunnableNode):
             "lockstep time-outs": clock.timeouts,
         }
         if self._monitor.faults:
-            return WARN, self._monitor.faults[0].kind, values
+            return WARN, self._monitor.faults[0].name, values
         if clock.paused:
             return OK, "paused", values
         if clock.awaited is not None and achieved == 0.0:
@@ -320,22 +321,22 @@ class SimulatorNode(RunnableNode):
             return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
 
-    def _contradictions(self) -> list[GraphFault]:
+    def _contradictions(self) -> list[Condition]:
         """Return the faults of limits that contradict each other, here and in the controller."""
         faults, torque = [], math.inf
         if self._settings.plant == "rigid_body":
             own = self._body.contradiction(self._robot)
             if own is not None:
-                faults.append(GraphFault("limits", own))
+                faults.append(Condition(Kind.LIMITS, own))
             else:
                 torque = self._body.for_robot(self._robot).torque_limit
         for controller, planned in self._controllers.limits.items():
             line = beyond(self._robot, planned, controller, torque)
             if line:
-                faults.append(GraphFault(f"limits of {controller}", line))
+                faults.append(Condition(Kind.LIMITS_OF, line, controller))
         return faults
 
-    def _report_commands(self) -> tuple[bytes, str, Mapping[str, Any]]:
+    def _report_commands(self) -> tuple[Severity, str, Mapping[str, Any]]:
         self._event_log.flush()
         counts = dict(self._fault_log.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)

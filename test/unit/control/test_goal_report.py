@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_report import GoalReport, Patience
 from sphere_nmpc.errors import InvalidInputError
 
@@ -30,19 +30,19 @@ def test_status_of_a_controller_that_has_not_planned_yet_is_read() -> None:
             GoalReport.of(wrong)
 
 
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", Kind)
 def test_patience_ends_in_each_mode_but_those_in_which_the_goal_is_pursued(mode) -> None:
     patience, report = Patience(10.0), GoalReport("1.0", 0, mode.value, obstacle="why")
-    is_pursued = mode in (Mode.TRACKING, Mode.AT_GOAL, Mode.NO_GOAL)
+    is_pursued = mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL)
     at_once = patience.exhausted(report, 0.0)
-    assert at_once == ("disabled: why" if mode is Mode.DISABLED else "")
-    assert bool(patience.exhausted(report, 9.0)) is (mode is Mode.DISABLED)
+    assert at_once == ("disabled: why" if mode is Kind.DISABLED else "")
+    assert bool(patience.exhausted(report, 9.0)) is (mode is Kind.DISABLED)
     assert bool(patience.exhausted(report, 11.0)) is not is_pursued
-    patience.exhausted(GoalReport("1.0", 0, Mode.TRACKING.value), 12.0)
-    assert bool(patience.exhausted(report, 13.0)) is (mode is Mode.DISABLED), "anew"
+    patience.exhausted(GoalReport("1.0", 0, Kind.TRACKING.value), 12.0)
+    assert bool(patience.exhausted(report, 13.0)) is (mode is Kind.DISABLED), "anew"
 
 
 def test_unreachable_goal_is_given_up_once_the_sphere_stands() -> None:
-    for mode, is_over in ((Mode.TRACKING, False), (Mode.NO_PROGRESS, True)):
+    for mode, is_over in ((Kind.TRACKING, False), (Kind.NO_PROGRESS, True)):
         report = GoalReport("1.0", 0, mode.value, unreachable="goal outside")
         assert bool(Patience(10.0).exhausted(report, 0.0)) is is_over

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.control.navigation import (
     Missed,
@@ -32,7 +32,7 @@ class World:
     navigation: Navigation = field(default_factory=lambda: Navigation(SETTINGS))
     now: float = 100.0
     in_force: str = ""
-    mode: Mode = Mode.NO_GOAL
+    mode: Kind = Kind.NO_GOAL
     moves: float = 0.0
     """Time that the sphere still needs, to the goal or to rest [s]."""
     unreachable: set[str] = field(default_factory=set)
@@ -69,21 +69,21 @@ class World:
 
     def take(self, stamp: str) -> None:
         """Put a goal in force at the controller."""
-        self.in_force, self.mode, self.moves = stamp, Mode.TRACKING, 2.0
+        self.in_force, self.mode, self.moves = stamp, Kind.TRACKING, 2.0
         if stamp in self.unreachable:
-            self.mode, self.moves = Mode.NO_PROGRESS, 0.0
+            self.mode, self.moves = Kind.NO_PROGRESS, 0.0
         self.plans += 1
 
     def drop(self) -> None:
         if self.in_force:
-            self.in_force, self.mode, self.moves = "", Mode.NO_GOAL, 0.3
+            self.in_force, self.mode, self.moves = "", Kind.NO_GOAL, 0.3
 
     def restart(self, kept: bool) -> None:
         self.lives, self.plans = True, 0
         if kept:
             self.take(self.in_force)
         else:
-            self.in_force, self.mode, self.moves = "", Mode.NO_GOAL, 0.0
+            self.in_force, self.mode, self.moves = "", Kind.NO_GOAL, 0.0
 
     def step(self, duration: float = STEP) -> None:
         for _ in range(round(duration / STEP)):
@@ -99,12 +99,12 @@ class World:
             self.drop()
             self.navigation.cancel_answered(self.now)
         self._under_way, self._cancel_under_way = None, False
-        if self.mode in (Mode.TRACKING, Mode.NO_GOAL, Mode.AT_GOAL):
+        if self.mode in (Kind.TRACKING, Kind.NO_GOAL, Kind.AT_GOAL):
             self.moves = max(0.0, self.moves - STEP)
-        if self.mode is Mode.TRACKING and self.moves == 0.0:
-            self.mode = Mode.AT_GOAL
+        if self.mode is Kind.TRACKING and self.moves == 0.0:
+            self.mode = Kind.AT_GOAL
         at_rest = self.moves == 0.0
-        stands = self.mode is Mode.NO_PROGRESS
+        stands = self.mode is Kind.NO_PROGRESS
         self._do(self.navigation.receive(GoalReport(
             self.in_force, 0, self.mode.value, at_rest, self.plans, self.moves, self.moves,
             "goal occupied" if stands and self.is_final else "", "it is occupied" if stands else ""
@@ -319,12 +319,12 @@ def test_goal_cancelled_without_a_controller_ends_once(world, restarts) -> None:
 def test_goal_without_poses_waits_and_is_aborted_in_the_end(world) -> None:
     world.begin(A)
     world.step(1.0)
-    world.mode = Mode.NO_FRESH_POSE
+    world.mode = Kind.NO_FRESH_POSE
     world.step(15.0)
-    world.mode = Mode.TRACKING
+    world.mode = Kind.TRACKING
     world.step(0.5)
     assert not world.ended
-    world.mode = Mode.CLOCK_STOPPED
+    world.mode = Kind.CLOCK_STOPPED
     world.step(19.0)
     assert not world.ended
     world.step(2.0)
@@ -332,7 +332,7 @@ def test_goal_without_poses_waits_and_is_aborted_in_the_end(world) -> None:
 
 
 def test_goal_is_not_aborted_for_poses_that_were_missing_before_it(world) -> None:
-    world.mode = Mode.NO_POSE
+    world.mode = Kind.NO_POSE
     world.step(100.0)
     world.begin(A)
     world.step(1.0)
@@ -360,7 +360,7 @@ def test_goal_in_the_way_of_which_something_is_waits_and_is_aborted_in_the_end(w
     assert not world.ended
     world.step(2.0)
     assert world.ended == {A: (Outcome.ABORTED, f"{GIVEN_UP}, for 20 s")}
-    assert world.missed[A][0].cause == Mode.NO_PROGRESS.value
+    assert world.missed[A][0].cause == Kind.NO_PROGRESS.value
 
 
 def test_goal_goes_on_where_what_was_in_the_way_has_moved(world) -> None:
@@ -374,7 +374,7 @@ def test_goal_goes_on_where_what_was_in_the_way_has_moved(world) -> None:
     assert world.outcome(A) is Outcome.SUCCEEDED
 
 
-@pytest.mark.parametrize("mode", [Mode.SATURATED, Mode.FALLBACK, Mode.POSE_JUMPED])
+@pytest.mark.parametrize("mode", [Kind.SATURATED, Kind.FALLBACK, Kind.POSE_JUMPED])
 def test_no_mode_keeps_a_goal_for_ever(world, mode) -> None:
     world.begin(A)
     world.step(1.0)
@@ -386,7 +386,7 @@ def test_no_mode_keeps_a_goal_for_ever(world, mode) -> None:
 def test_goal_ends_at_once_where_the_controller_is_disabled(world) -> None:
     world.begin(A)
     world.step(1.0)
-    world.mode = Mode.DISABLED
+    world.mode = Kind.DISABLED
     world.step(0.1)
     assert world.ended == {A: (Outcome.ABORTED, "disabled")}
 
@@ -394,9 +394,9 @@ def test_goal_ends_at_once_where_the_controller_is_disabled(world) -> None:
 def test_stages_are_sent_in_order_with_a_pause_at_each(world) -> None:
     world.begin(A, stages=3, pause=1.0)
     world.step(2.5)
-    assert (world.mode, world.navigation.stage) == (Mode.AT_GOAL, 0), "pause"
+    assert (world.mode, world.navigation.stage) == (Kind.AT_GOAL, 0), "pause"
     world.step(1.0)
-    assert (world.mode, world.navigation.stage) == (Mode.TRACKING, 1)
+    assert (world.mode, world.navigation.stage) == (Kind.TRACKING, 1)
     world.step(6.0)
     assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
     assert world.sent == world.stamps and len(world.stamps) == 3 and not world.missed[A]
@@ -425,7 +425,7 @@ def test_goal_of_which_no_stage_can_be_reached_is_aborted(world) -> None:
 def test_what_no_other_stage_would_mend_ends_the_goal(world) -> None:
     world.begin(A, stages=3)
     world.step(3.5)
-    world.mode = Mode.DISABLED
+    world.mode = Kind.DISABLED
     world.step(0.1)
     assert world.ended == {A: (Outcome.ABORTED, "disabled")} and len(world.stamps) == 2
 
@@ -433,7 +433,7 @@ def test_what_no_other_stage_would_mend_ends_the_goal(world) -> None:
 def test_goal_can_be_cancelled_and_taken_over_during_a_pause(world) -> None:
     world.begin(A, stages=2, pause=5.0)
     world.step(4.0)
-    assert world.mode is Mode.AT_GOAL and not world.ended
+    assert world.mode is Kind.AT_GOAL and not world.ended
     assert world.navigation.cancel(A, world.now)
     world.step(1.0)
     assert world.outcome(A) is Outcome.CANCELED and world.in_force == ""

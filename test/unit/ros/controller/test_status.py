@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Mode
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import (
@@ -78,7 +78,8 @@ def test_time_left_is_known_where_the_plan_has_an_arrival(arrival, left) -> None
     settings = ControllerSettings()
     controller = Controller(settings, ROBOT)
     decided = controller.decide(2.0)
-    decision = replace(decided, mode=Mode.TRACKING, plan=replace(decided.plan, arrival=arrival))
+    plan = replace(decided.plan, arrival=arrival)
+    decision = replace(decided, conditions=Kind.TRACKING.alone, plan=plan)
     values = ControllerStatus(controller, ROBOT, settings).values(decision, 2.0, 0.0, 0)
     assert values["time_left_s"] == pytest.approx(left, nan_ok=True)
 

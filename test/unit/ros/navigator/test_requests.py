@@ -11,7 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Goals
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.control.navigation import Ending, Missed, Outcome
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
@@ -22,7 +22,6 @@ from sphere_nmpc.ros.navigator.requests import (
     result_of,
     stages_of,
 )
-from sphere_nmpc.strategy.plan import Unreachable
 
 POSES = [[1.0, 2.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
 VALUES = {"goal_stamp": "7.000000001", "goal_index": "1", "mode": "at the goal"}
@@ -132,8 +131,8 @@ def test_result_has_code_and_reason_where_the_message_has_them(kinds, outcome) -
 
 @pytest.mark.parametrize(("cause", "code"), [
     ("start outside", 203), ("goal outside", 204), ("start occupied", 205),
-    ("goal occupied", 206), ("no way", 208), (Mode.NO_PROGRESS.value, 105),
-    (Mode.NO_FRESH_POSE.value, 102), (Mode.DISABLED.value, 0),
+    ("goal occupied", 206), ("no way", 208), (Kind.NO_PROGRESS.value, 105),
+    (Kind.NO_FRESH_POSE.value, 102), (Kind.DISABLED.value, 0),
 ])
 def test_what_is_not_pursued_has_the_code_of_nav2_for_its_cause(kinds, cause, code) -> None:
     missed = (Missed(1, cause, "why"), Missed(3, cause, "why"))
@@ -153,5 +152,5 @@ def test_what_is_not_pursued_has_the_code_of_nav2_for_its_cause(kinds, cause, co
 
 
 def test_table_of_codes_knows_all_that_makes_a_goal_unreachable() -> None:
-    assert {kind.value for kind in Unreachable} <= ERROR_CODES.keys()
-    assert ERROR_CODES.keys() <= {one.value for kind in (Unreachable, Mode) for one in kind}
+    unreachable = {kind.value for kind in Kind if kind.is_unreachable}
+    assert len(unreachable) == 5 and unreachable < ERROR_CODES.keys()

@@ -6,17 +6,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from sphere_nmpc.control.decision import Mode
+from sphere_nmpc.conditions import Kind
 from sphere_sim.ros.session.goal_wait import NotReachedError, wait_until_reached
 
 
 class Status(SimpleNamespace):
     """Statuses of a controller, one more at each spin, whose last mode lasts."""
 
-    def __init__(self, *modes: Mode, **values: str) -> None:
+    def __init__(self, *modes: Kind, **values: str) -> None:
         super().__init__(count=1, topic="/controller/status", progress=SimpleNamespace(stamp="1"))
         self._modes, self._values = iter(modes), values
-        self.mode = Mode.TRACKING.value
+        self.mode = Kind.TRACKING.value
 
     @property
     def values(self) -> dict[str, str]:
@@ -28,7 +28,7 @@ class Status(SimpleNamespace):
 
     def spin(self) -> None:
         self.count += 1
-        self.mode = next(self._modes, Mode(self.mode)).value
+        self.mode = next(self._modes, Kind(self.mode)).value
 
 
 def took(status: Status) -> float:
@@ -37,14 +37,14 @@ def took(status: Status) -> float:
 
 
 def test_arrival_after_what_was_in_the_way_has_moved() -> None:
-    assert took(Status(Mode.TRACKING, Mode.NO_PROGRESS, Mode.TRACKING, Mode.AT_GOAL)) == 3.0
+    assert took(Status(Kind.TRACKING, Kind.NO_PROGRESS, Kind.TRACKING, Kind.AT_GOAL)) == 3.0
 
 
 @pytest.mark.parametrize(("status", "how"), [
-    (Status(Mode.TRACKING, Mode.NO_PROGRESS, unreachable="goal outside"), "at once"),
-    (Status(Mode.DISABLED), "at once"),
-    (Status(Mode.TRACKING, Mode.NO_PROGRESS), "late"),
-    (Status(Mode.NO_FRESH_POSE), "late"),
+    (Status(Kind.TRACKING, Kind.NO_PROGRESS, unreachable="goal outside"), "at once"),
+    (Status(Kind.DISABLED), "at once"),
+    (Status(Kind.TRACKING, Kind.NO_PROGRESS), "late"),
+    (Status(Kind.NO_FRESH_POSE), "late"),
 ])
 def test_goal_that_is_not_pursued_ends_the_wait_with_the_reason(status, how, monkeypatch) -> None:
     # A clock on which seconds pass from one status to the next.

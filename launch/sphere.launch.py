@@ -43,7 +43,7 @@ from sphere_nmpc.child import module_command, python_command
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
 from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model.state import as_state, upright_state
-from sphere_nmpc.ros.messages import WORLD_FRAME
+from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.error_text import how_to_install

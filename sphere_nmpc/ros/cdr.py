@@ -20,6 +20,7 @@ from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -39,22 +40,11 @@ _BEGIN = len(_PLAIN)
 _STAMP = struct.Struct("<iI")
 _LENGTH = struct.Struct("<I")
 
-_TEXT, _TIME = "text", "time"
-"""Kinds of fields: a string; a time, as whole nanoseconds. The others are numbers in letters of
-`struct`, read as a tuple. A list has any number of its kind; a tuple is a record of kinds."""
-_HEADS = {_TEXT: "I", _TIME: "iI"}
-"""Numbers that fields of these kinds begin with."""
-_NUMBERS = "d", "b"
-"""Kinds of numbers of which there are arrays."""
-_NO_NUMBERS: Vector = np.empty(0)
-_HEADER = _TIME, _TEXT
-
 
 class Clock(NamedTuple):
     """Time [ns]."""
 
     stamp: int
-    TYPE, LAYOUT = "rosgraph_msgs/msg/Clock", (_TIME,)
 
 
 class Pose(NamedTuple):
@@ -63,7 +53,6 @@ class Pose(NamedTuple):
     stamp: int
     frame: str
     numbers: tuple[float, ...]
-    TYPE, LAYOUT = "geometry_msgs/msg/PoseStamped", (*_HEADER, "7d")
 
     @property
     def state(self) -> tuple[float, ...]:
@@ -88,7 +77,6 @@ class Joints(NamedTuple):
     angles: Vector
     speeds: Vector
     torques: Vector
-    TYPE, LAYOUT = "sensor_msgs/msg/JointState", (*_HEADER, [_TEXT], ["d"], ["d"], ["d"])
 
     def of_rotors(self) -> Vector | None:
         """Return angles, speeds and torques of the rotors, shape (3, 2); None if one is missing.
@@ -111,10 +99,8 @@ class Trajectory(NamedTuple):
     frame: str
     names: list[str]
     points: list[tuple[Vector, Vector, Vector, Vector, int]]
-    TYPE = "trajectory_msgs/msg/JointTrajectory"
-    LAYOUT = (*_HEADER, [_TEXT], [(["d"], ["d"], ["d"], ["d"], _TIME)])
 
-    def knots(self) -> tuple[Vector, Vector]:
+    def knots(self) -> tuple[NDArray[np.int64], Vector]:
         """Return times after the start [ns], shape (K,), and rotor speeds [rad/s], shape (K, 2).
 
         Rotors are matched by name, in any order. Points need velocities; positions and
@@ -130,8 +116,9 @@ class Trajectory(NamedTuple):
             raise InvalidInputError(
                 "velocities of the points", given, f"one point or more with {len(order)} each"
             )
-        after = np.array([point[4] for point in self.points], dtype=np.int64)
-        return after, np.array([point[1] for point in self.points], dtype=float)[:, order]
+        after: NDArray[np.int64] = np.array([point[4] for point in self.points], dtype=np.int64)
+        speeds: Vector = np.array([point[1] for point in self.points], dtype=float)
+        return after, speeds[:, order]
 
 
 class Status(NamedTuple):
@@ -142,8 +129,6 @@ class Status(NamedTuple):
     message: str
     hardware: str
     pairs: list[tuple[str, str]]
-    TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
-    LAYOUT = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
 
     @property
     def values(self) -> dict[str, str]:
@@ -157,7 +142,6 @@ class Diagnostics(NamedTuple):
     stamp: int
     frame: str
     fields: list[Any]
-    TYPE, LAYOUT = "diagnostic_msgs/msg/DiagnosticArray", (*_HEADER, [Status.LAYOUT])
 
     @property
     def statuses(self) -> list[Status]:
@@ -171,7 +155,6 @@ class Vector3(NamedTuple):
     stamp: int
     frame: str
     vector: tuple[float, ...]
-    TYPE, LAYOUT = "geometry_msgs/msg/Vector3Stamped", (*_HEADER, "3d")
 
 
 class OccupancyGrid(NamedTuple):
@@ -184,8 +167,6 @@ class OccupancyGrid(NamedTuple):
     size: tuple[int, int]
     origin: tuple[float, ...]
     cells: Any
-    TYPE = "nav_msgs/msg/OccupancyGrid"
-    LAYOUT = (*_HEADER, _TIME, "f", "2I", "7d", ["b"])
 
 
 class Numbers(NamedTuple):
@@ -194,26 +175,52 @@ class Numbers(NamedTuple):
     dimensions: list[tuple[str, tuple[int, int]]]
     offset: tuple[int]
     numbers: Vector
-    TYPE, LAYOUT = "std_msgs/msg/Float64MultiArray", ([(_TEXT, "2I")], "I", ["d"])
 
 
-RECORDED: dict[str, Any] = {
-    record.TYPE: record
-    for record in (Pose, Joints, Trajectory, Status, Vector3, OccupancyGrid, Diagnostics)
+TYPES: dict[Any, str] = {
+    Pose: "geometry_msgs/msg/PoseStamped",
+    Joints: "sensor_msgs/msg/JointState",
+    Trajectory: "trajectory_msgs/msg/JointTrajectory",
+    Status: "diagnostic_msgs/msg/DiagnosticStatus",
+    Diagnostics: "diagnostic_msgs/msg/DiagnosticArray",
+    Vector3: "geometry_msgs/msg/Vector3Stamped",
+    OccupancyGrid: "nav_msgs/msg/OccupancyGrid",
 }
-"""Records by types of messages, of those that are read of a recording."""
+"""Types of messages by the records of those that are read of a recording."""
+RECORDS = {msgtype: record for record, msgtype in TYPES.items()}
+"""These records by types of messages."""
+_TEXT, _TIME = "text", "time"
+"""Kinds of fields: a string; a time, as whole nanoseconds. The others are numbers in letters of
+`struct`, read as a tuple. A list has any number of its kind; a tuple is a record of kinds."""
+_HEADS = {_TEXT: "I", _TIME: "iI"}
+"""Numbers that fields of these kinds begin with."""
+_NUMBERS = "d", "b"
+"""Kinds of numbers of which there are arrays."""
+_NO_NUMBERS: Vector = np.empty(0)
+_HEADER = _TIME, _TEXT
+_STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
+_LAYOUTS: dict[Any, tuple[Any, ...]] = {
+    Clock: (_TIME,),
+    Pose: (*_HEADER, "7d"),
+    Joints: (*_HEADER, [_TEXT], ["d"], ["d"], ["d"]),
+    Trajectory: (*_HEADER, [_TEXT], [(["d"], ["d"], ["d"], ["d"], _TIME)]),
+    Status: _STATUS,
+    Diagnostics: (*_HEADER, [_STATUS]),
+    Vector3: (*_HEADER, "3d"),
+    OccupancyGrid: (*_HEADER, _TIME, "f", "2I", "7d", ["b"]),
+    Numbers: ([(_TEXT, "2I")], "I", ["d"]),
+}
+"""Kinds of the fields of records, in the order in which a message has them."""
 _Record = TypeVar("_Record")
 
 
 def read(raw: bytes, record: type[_Record]) -> _Record:
     """Return a serialised message as a record of its type."""
-    kind: Any = record
     try:
-        values, _ = _fields(raw, _BEGIN, _ORDERS[raw[:2]], kind.LAYOUT)
+        values, _ = _fields(raw, _BEGIN, _ORDERS[raw[:2]], _LAYOUTS[record])
     except (KeyError, ValueError, struct.error):
-        raise InvalidInputError(kind.__name__, raw, "a message of this type") from None
-    found: _Record = kind(*values)
-    return found
+        raise InvalidInputError(record.__name__, raw, "a message of this type") from None
+    return record(*values)
 
 
 def seconds(stamp: int, epoch: int = 0) -> float:

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.ros.cdr import RECORDED, read
+from sphere_nmpc.ros.cdr import RECORDS, read
 from sphere_sim.recording.bag_files import (
     METADATA,
     BagError,
@@ -42,7 +42,7 @@ class Messages:
     types : dict of str to str
         Message type of each topic that the bag announces.
     decoded : dict of str to list of (int, Any)
-        Log time [ns] and record, see `RECORDED`, in order of time, for each selected topic that
+        Log time [ns] and record, see `RECORDS`, in order of time, for each selected topic that
         has messages.
     custom_data, notes : dict of str to str, and list of str
         Custom data of the bag; messages for users on what is missing or invalid in it.
@@ -123,7 +123,7 @@ def _decode(messages: Messages, raw: list[tuple[str, int, bytes]]) -> None:
             if data.startswith(zstandard.FRAME_HEADER):
                 # The bag compresses each message; CDR data never begins with these bytes.
                 data = zstd.decompressobj().decompress(data)
-            message = read(data, RECORDED[msgtype])
+            message = read(data, RECORDS[msgtype])
         except (InvalidInputError, zstandard.ZstdError):
             invalid[msgtype] += 1
         else:

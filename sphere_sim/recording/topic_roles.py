@@ -18,6 +18,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, are_states
 from sphere_nmpc.ros.cdr import (
     JOINT_NAMES,
+    TYPES,
     Diagnostics,
     Joints,
     OccupancyGrid,
@@ -30,10 +31,10 @@ from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
 from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.messages import Messages, full_topic_name
 
-_POSE, _JOINTS, _PLANS = Pose.TYPE, Joints.TYPE, Trajectory.TYPE
+_POSE, _JOINTS, _PLANS = TYPES[Pose], TYPES[Joints], TYPES[Trajectory]
 _NAMED = {
-    "status": Status.TYPE, "pushed": Vector3.TYPE, "floor": OccupancyGrid.TYPE,
-    "diagnostics": Diagnostics.TYPE,
+    "status": TYPES[Status], "pushed": TYPES[Vector3], "floor": TYPES[OccupancyGrid],
+    "diagnostics": TYPES[Diagnostics],
 }
 """Types of the topics whose names are those of nodes of this package."""
 _GOALS = ("/goal_pose", "/active_goal")

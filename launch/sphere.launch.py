@@ -42,7 +42,7 @@ from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model.state import upright_state
-from sphere_nmpc.ros.messages import WORLD_FRAME
+from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS

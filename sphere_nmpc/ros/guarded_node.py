@@ -24,7 +24,8 @@ from type_description_interfaces.srv import GetTypeDescription
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.ros.messages import clock_stamp, message_object
+from sphere_nmpc.ros.cdr import clock_stamp
+from sphere_nmpc.ros.messages import message_object
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For topics of which only the newest message counts: a lost one does not delay it."""

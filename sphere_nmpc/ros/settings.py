@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.quantity import quantity, validate
-from sphere_nmpc.ros.messages import WORLD_FRAME
+from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import ControllerSettings
 
 

@@ -1,20 +1,17 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fields of messages as ``rosbags`` decodes them, and values of the controller's status."""
+"""Values of the controller's status."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.floor.occupancy import Grid, grid_of_values
 from sphere_nmpc.model.disturbance import Disturbance, imbalance_of_offset, slope_torque
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
 
 LARGEST = 1e30
 """Largest magnitude of a number that is believed [SI units]: its square is one, too."""
@@ -33,39 +30,6 @@ HOLDING = "holding"
 def known(number: float) -> float:
     """Return a number of a message; nan, as for an unknown one, where it is beyond `LARGEST`."""
     return float(number) if abs(number) <= LARGEST else float("nan")
-
-
-def stamp_of(message: Any) -> int:
-    """Return the stamp [ns] of a message with a header."""
-    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
-
-
-def state_of(message: Any) -> list[float]:
-    """Return x, y [m; world frame] and the quaternion wxyz of a stamped pose, unchecked."""
-    position, orientation = message.pose.position, message.pose.orientation
-    return [
-        float(value) for value in (
-            position.x, position.y, orientation.w, orientation.x, orientation.y, orientation.z
-        )
-    ]
-
-
-def floor_of(message: Any) -> Grid | None:
-    """Return the floor in a nav_msgs/OccupancyGrid; None where it has no cells, so is free.
-
-    `InvalidMapError` is raised where the message is not valid.
-    """
-    info, origin = message.info, message.info.origin
-    if info.width == info.height == 0:
-        return None
-    position, orientation = origin.position, origin.orientation
-    place = (
-        position.x, position.y, position.z,
-        orientation.x, orientation.y, orientation.z, orientation.w,
-    )
-    values = np.asarray(message.data, dtype=np.int8)
-    # The controller has decided already what counts as occupied.
-    return grid_of_values(values, info.width, info.height, info.resolution, place, 0.5, False)
 
 
 @dataclass(frozen=True)

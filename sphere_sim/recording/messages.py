@@ -3,7 +3,6 @@
 """Decoded messages of a bag: MCAP or SQLite, split, compressed, complete or truncated."""
 
 import sqlite3
-import struct
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
@@ -15,11 +14,11 @@ from typing import Any
 import zstandard
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.ros.cdr import RECORDS, read
 from sphere_sim.recording.bag_files import (
     METADATA,
     BagError,
@@ -43,7 +42,8 @@ class Messages:
     types : dict of str to str
         Message type of each topic that the bag announces.
     decoded : dict of str to list of (int, Any)
-        Log time [ns] and message, in order of time, for each selected topic that has messages.
+        Log time [ns] and record, see `RECORDS`, in order of time, for each selected topic that
+        has messages.
     custom_data, notes : dict of str to str, and list of str
         Custom data of the bag; messages for users on what is missing or invalid in it.
     truncated : bool
@@ -114,7 +114,7 @@ def read_messages(path: Path, selects: TopicFilter) -> Messages:
 
 def _decode(messages: Messages, raw: list[tuple[str, int, bytes]]) -> None:
     """Decode messages, with topic and log time [ns], in order of log time."""
-    store, zstd = get_typestore(Stores.ROS2_JAZZY), zstandard.ZstdDecompressor()
+    zstd = zstandard.ZstdDecompressor()
     invalid: Counter[str] = Counter()
     # Recorders that compress messages in several threads write them in any order.
     for topic, stamp, data in sorted(raw, key=lambda entry: entry[1]):
@@ -123,8 +123,8 @@ def _decode(messages: Messages, raw: list[tuple[str, int, bytes]]) -> None:
             if data.startswith(zstandard.FRAME_HEADER):
                 # The bag compresses each message; CDR data never begins with these bytes.
                 data = zstd.decompressobj().decompress(data)
-            message = store.deserialize_cdr(data, msgtype)
-        except (SerdeError, zstandard.ZstdError, ValueError, IndexError, KeyError, struct.error):
+            message = read(data, RECORDS[msgtype])
+        except (InvalidInputError, zstandard.ZstdError):
             invalid[msgtype] += 1
         else:
             messages.decoded.setdefault(topic, []).append((stamp, message))

@@ -9,7 +9,6 @@ from sphere_nmpc.model.state import QUATERNION, Vector, are_states
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.recording.bag_clock import OTHER_CLOCK, TOLERANCE, BagClock, longest_run
 from sphere_sim.recording.bag_files import BagError
-from sphere_sim.recording.message_fields import stamp_of, state_of
 from sphere_sim.recording.messages import Messages
 
 _Stamps = NDArray[np.int64]
@@ -26,7 +25,7 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
         reason = f"no message on {topic}"
         reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
         raise BagError(messages.path, reason)
-    states = np.array([state_of(message) for _, message in entries])
+    states = np.array([message.state for _, message in entries])
     valid = are_states(states)
     if not np.any(valid):
         raise BagError(messages.path, f"no message on {topic} holds a valid pose")
@@ -34,7 +33,7 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
         messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
     states = states[valid]
     logs, stamps = np.array(
-        [(log, stamp_of(it)) for (log, it), use in zip(entries, valid, strict=True) if use],
+        [(log, it.stamp) for (log, it), use in zip(entries, valid, strict=True) if use],
         dtype=np.int64,
     ).T
     kept, stamps = _usable(messages, topic, logs, stamps)

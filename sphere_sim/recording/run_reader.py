@@ -1,16 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`.
-
-Messages are accessed by attribute as ``rosbags`` decodes them, so that a bag can be read where no
-ROS is installed; ``sphere_nmpc.ros.messages`` is the counterpart for ROS messages.
-"""
+"""Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`."""
 
 import dataclasses
 import json
 import math
 from collections import Counter
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,23 +19,22 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
-from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.quantity import NANOSECONDS, stamp_text
+from sphere_nmpc.ros.cdr import JOINT_NAMES
+from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     CONTACTS,
-    NANOSECONDS,
-    floor_of,
+    LARGEST,
     known,
     number,
     reported_disturbance,
     reported_momentum,
     reported_orientation,
     reported_solve,
-    stamp_of,
-    state_of,
 )
 from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.poses import read_poses
@@ -52,7 +46,7 @@ from sphere_sim.recording.run import (
     setup_text,
     without_sign_jumps,
 )
-from sphere_sim.recording.topic_roles import ROTORS, Robot, find_robot, is_read
+from sphere_sim.recording.topic_roles import Robot, find_robot, is_read
 
 _LONGEST_STRATEGY = 100
 """Characters of the name of a strategy or plant that are shown."""
@@ -150,16 +144,15 @@ class _TopicReader:
         entries = self._messages.decoded.get(topic, [])
         rows = []
         for received, message in entries:
-            order = _rotors(message.name)
-            if order:  # other joints of a robot, such as grippers, may use the same topic
+            rotors = message.of_rotors()
+            if rotors is not None:  # other joints, such as grippers, may use the same topic
                 time = self._time(topic, message, received)
-                speeds, torques = (_select(it, order) for it in (message.velocity, message.effort))
-                rows.append([time, *speeds, *torques])
+                rows.append([time, *map(known, rotors[1:].ravel().tolist())])
         if entries and not rows:
-            names = list(entries[0][1].name)
+            names = entries[0][1].names
             raise BagError(
                 self._messages.path,
-                f"{topic} names {shown(names)}, not {list(ROTORS)}: a bag of another robot",
+                f"{topic} names {shown(names)}, not {list(JOINT_NAMES)}: a bag of another robot",
             )
         if not rows:
             self._notes.append(f"{topic} is missing; no rotor speeds and torques")
@@ -175,17 +168,11 @@ class _TopicReader:
             self._notes.append(f"{topic} is missing; no plans")
         plans = []
         for received, message in entries:
-            order = _rotors(message.joint_names)
-            if not order or len(message.joint_names) > len(order):
-                continue
-            start = self._clock.time_of_message(stamp_of(message), received, latched=True)
-            offsets = [
-                point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
-                for point in message.points
-            ]
-            speeds = [_select(point.velocities, order) for point in message.points]
+            start = self._clock.time_of_message(message.stamp, received, latched=True)
             try:
-                plans.append(FirstOrderHold(start + np.array(offsets), np.array(speeds)))
+                after, speeds = message.knots()
+                speeds[np.abs(speeds) > LARGEST] = np.nan
+                plans.append(FirstOrderHold(start + after / NANOSECONDS, speeds))
             except InvalidInputError:
                 continue  # the simulator refuses it as well
         if len(plans) < len(entries):
@@ -218,7 +205,7 @@ class _TopicReader:
         } if accepted else {}
         entries = []
         for received, message in given:
-            state = np.array(state_of(message))
+            state = np.array(message.state)
             if not are_states(state[None])[0]:
                 continue
             state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
@@ -227,7 +214,7 @@ class _TopicReader:
                 self._time(topic, message, received, latched=True)
                 if accepted else self._clock.time_of_log(received)
             )
-            orientation = demanded.get(stamp_text(stamp_of(message)), Orientation.FULL)
+            orientation = demanded.get(stamp_text(message.stamp), Orientation.FULL)
             entries.append((time, Goal(state, orientation)))
         if len(entries) < len(given):
             self._notes.append(f"{topic}: {len(given) - len(entries)} invalid goals were ignored")
@@ -288,7 +275,7 @@ class _TopicReader:
         ]
         pushes = [
             (self._time(topic, message, received),
-             known(message.vector.x), known(message.vector.y))
+             *map(known, message.vector[:2]))
             for topic in self._topics("/pushed")
             for received, message in self._messages.decoded[topic]
         ]
@@ -331,13 +318,12 @@ class _TopicReader:
         ending, key = CONTACTS
         place, times, before = f"{self._robot}/".lstrip("/"), [], 0.0
         for received, message in self._messages.decoded.get("/diagnostics", ()):
-            for status in message.status:
+            for status in message.statuses:
                 node = status.name.removeprefix(place).removesuffix(ending)
                 if status.name != f"{place}{node}{ending}" or "/" in node:
                     continue
-                values = {pair.key: pair.value for pair in status.values}
-                count = number(values, key) if key in values else 0.0
-                time = self._clock.time_of_message(stamp_of(message), received)
+                count = number(status.values, key) if key in status.values else 0.0
+                time = self._clock.time_of_message(message.stamp, received)
                 # A simulator that is started again counts from 0.
                 times += [time] * round(np.clip(count - before, 0.0, _MOST_CONTACTS))
                 before = count
@@ -352,9 +338,8 @@ class _TopicReader:
 
     def _time(self, topic: str, message: Any, received: int, *, latched: bool = False) -> float:
         """Return the time [s] of a message by its stamp, or by its log time [ns], which counts."""
-        stamp = stamp_of(message)
-        time = self._clock.time_of_message(stamp, received, latched=latched)
-        self._undated[topic] += time != self._clock.time_of_stamp(stamp)
+        time = self._clock.time_of_message(message.stamp, received, latched=latched)
+        self._undated[topic] += time != self._clock.time_of_stamp(message.stamp)
         return time
 
     def _topics(self, ending: str) -> list[str]:
@@ -374,19 +359,9 @@ class _TopicReader:
         ]
 
     def _status(self, received: int, message: Any) -> tuple[float, dict[str, str]]:
-        values = {pair.key: pair.value for pair in message.values}
+        values = message.values
         time = number(values, "time_s")
         if not math.isfinite(time):
             return self._clock.time_of_log(received), values
         # Without simulated time the controller counts from its own start.
         return self._clock.time_of_message(round(time * NANOSECONDS), received), values
-
-
-def _rotors(names: Sequence[str]) -> list[int]:
-    """Return the indices of the rotors among names of joints; empty where one is missing."""
-    return [list(names).index(name) for name in ROTORS] if set(ROTORS) <= set(names) else []
-
-
-def _select(values: Sequence[float], order: Sequence[int]) -> list[float]:
-    """Return values by index; nan where a message has fewer values than names, see `known`."""
-    return [known(values[i]) if i < len(values) else float("nan") for i in order]

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recording session: the consecutive bags of one recorder, and the log times of their messages."""
 
-import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,17 +9,16 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.foreign_text import shown
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.cdr import clock_stamp
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.bag_writer import BagWriter
 
 _KEPT = 2
 """Messages of a topic that are kept until the clock has a time for them: a simulator publishes the
 state of its first step before the clock reports that step."""
-_CDR_HEADER = 4
-"""Bytes before the first field of a serialised message; the second one is the byte order."""
 
 
 class RecordingSession:
@@ -93,12 +91,11 @@ class RecordingSession:
         """
         for arrival, topic, message in sorted(messages, key=lambda entry: entry[0]):
             if topic == self._clock_topic:
-                stamp = _clock_stamp(message)
-                if stamp is None:
-                    reason = f"given {shown(message)}, expected a time of 0 or more"
-                    self._fault_log.report(f"{topic} refused", reason)
+                try:
+                    self._simulated_time = clock_stamp(message)
+                except InvalidInputError as error:
+                    self._fault_log.report(f"{topic} refused", str(error))
                     continue
-                self._simulated_time = stamp
             self._write(topic, message, self._simulated_time if self._clock_topic else arrival)
 
     def commit(self) -> None:
@@ -164,13 +161,3 @@ class RecordingSession:
         output = self._output or time.strftime("runs/%Y-%m-%d_%H-%M-%S")
         folder = Path(output).expanduser().absolute()
         return folder.with_name(f"{folder.name}_{self._started}") if self._started else folder
-
-
-def _clock_stamp(message: bytes) -> int | None:
-    """Return the time [ns] in a serialised rosgraph_msgs/Clock; None if it holds no valid one."""
-    try:
-        order = "<" if message[1] & 1 else ">"
-        seconds, nanoseconds = struct.unpack_from(f"{order}iI", message, _CDR_HEADER)
-    except (IndexError, struct.error):
-        return None
-    return None if seconds < 0 else int(seconds) * NANOSECONDS + int(nanoseconds)

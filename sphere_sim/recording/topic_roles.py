@@ -16,20 +16,25 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, are_states
+from sphere_nmpc.ros.cdr import (
+    JOINT_NAMES,
+    TYPES,
+    Diagnostics,
+    Joints,
+    OccupancyGrid,
+    Pose,
+    Status,
+    Trajectory,
+    Vector3,
+)
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
-from sphere_sim.recording.message_fields import POSE_TOPIC, state_of
+from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.messages import Messages, full_topic_name
 
-ROTORS = ("rotor_1_joint", "rotor_2_joint")
-"""Joint names of the rotors."""
-_POSE = "geometry_msgs/msg/PoseStamped"
-_JOINTS = "sensor_msgs/msg/JointState"
-_PLANS = "trajectory_msgs/msg/JointTrajectory"
+_POSE, _JOINTS, _PLANS = TYPES[Pose], TYPES[Joints], TYPES[Trajectory]
 _NAMED = {
-    "status": "diagnostic_msgs/msg/DiagnosticStatus",
-    "pushed": "geometry_msgs/msg/Vector3Stamped",
-    "floor": "nav_msgs/msg/OccupancyGrid",
-    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "status": TYPES[Status], "pushed": TYPES[Vector3], "floor": TYPES[OccupancyGrid],
+    "diagnostics": TYPES[Diagnostics],
 }
 """Types of the topics whose names are those of nodes of this package."""
 _GOALS = ("/goal_pose", "/active_goal")
@@ -125,9 +130,8 @@ class _Bag:
             found = {}
         for node in nodes:
             for _, message in self._messages.decoded.get(f"{node}/status", ())[:1]:
-                for pair in message.values:
-                    if pair.key == POSE_TOPIC:
-                        found["pose"] = pair.value
+                if POSE_TOPIC in message.values:
+                    found["pose"] = message.values[POSE_TOPIC]
         return {name: full_topic_name(str(topic)) for name, topic in found.items()}
 
     def poses(self, robot: str, stated: dict[str, str]) -> str:
@@ -169,8 +173,7 @@ class _Bag:
         """Return the full names of the controllers of the bag."""
         goals = self._of_type(_POSE, lambda topic: topic.endswith("/active_goal"))
         reports = self._of_type(_NAMED["status"], lambda topic: any(
-            pair.key == "time_s" for _, message in self._messages.decoded.get(topic, ())[:1]
-            for pair in message.values
+            "time_s" in message.values for _, message in self._messages.decoded.get(topic, ())[:1]
         ))
         return sorted({_space(topic) for topic in (*goals, *reports)} - {""})
 
@@ -180,7 +183,7 @@ class _Bag:
 
     def _has_rotors(self, topic: str) -> bool:
         """Return whether messages name the rotors; others may share the topic."""
-        return any(set(ROTORS) <= set(getattr(it, "name", ()) or getattr(it, "joint_names", ()))
+        return any(set(JOINT_NAMES) <= set(it.names)
                    for _, it in self._messages.decoded.get(topic, ()))
 
     def _free(self, robot: str, topics: Iterable[str]) -> list[str]:
@@ -191,13 +194,13 @@ class _Bag:
     def _is_in_frame(self, robot: str, topic: str) -> bool:
         """Return whether the controller would accept the poses: those in the frame of goals."""
         decoded = self._messages.decoded
-        frames = {message.header.frame_id for node in self.controllers(robot)
+        frames = {message.frame for node in self.controllers(robot)
                   for _, message in decoded.get(f"{node}/active_goal", ())}
-        return not frames or decoded[topic][0][1].header.frame_id in {"", *frames}
+        return not frames or decoded[topic][0][1].frame in {"", *frames}
 
     def _rolls(self, topic: str) -> bool:
         """Return whether poses move as a sphere that rolls does, whatever its radius."""
-        states = np.array([state_of(message) for _, message in self._messages.decoded[topic]])
+        states = np.array([message.state for _, message in self._messages.decoded[topic]])
         states = states[are_states(states)]
         quaternions = states[:, QUATERNION]
         real, about_x, about_y, _ = rotation.products(

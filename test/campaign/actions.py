@@ -31,8 +31,9 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.state import POSITION
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.cdr import pose_message, pose_of_message
 from sphere_nmpc.ros.guarded_node import LATCHED
-from sphere_nmpc.ros.messages import pose_message, pose_of_message, pose_to_ros
+from sphere_nmpc.ros.messages import pose_to_ros
 
 Action = Iterator[Any]
 _OBSTACLE_AHEAD = 1.5

@@ -20,15 +20,17 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.floor_messages import map_of_message
-from sphere_nmpc.ros.messages import (
+from sphere_nmpc.ros.cdr import (
+    Pose,
+    Trajectory,
     clock_stamp,
-    header_stamp,
     hold_and_stamp,
     pose_of_message,
+    read,
     rotor_speeds_and_stamp,
     speeds_of_message,
 )
+from sphere_nmpc.ros.floor_messages import map_of_message
 from sphere_sim.evaluation.metrics import GoalRun
 
 TOO_EARLY = "a command was sent too early"
@@ -219,7 +221,7 @@ class Judge:
 
     def pose(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a pose of the simulator, unless it comes late, from a slow sensor."""
-        stamp = header_stamp(raw)
+        stamp = read(raw, Pose).stamp
         if stamp < self.pose_stamp:
             return
         self.pose_stamp, self._spacing, self.state = stamp, stamp - self.pose_stamp, None
@@ -256,7 +258,7 @@ class Judge:
     def trajectory(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a trajectory of a controller, of times on its shifted clock."""
         try:
-            stamp = header_stamp(raw)
+            stamp = read(raw, Trajectory).stamp
             hold, _ = hold_and_stamp(raw, 0, stamp)  # relative to its stamp, hence exact
         except (InvalidStateError, InvalidInputError) as error:
             self.limits.broken.append(f"rotor_trajectory is wrong: {error}")

@@ -18,8 +18,8 @@ from trial import Trial, faults_of_line
 
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.ros.cdr import clock_message, trajectory_message
 from sphere_nmpc.ros.floor_messages import map_of_message
-from sphere_nmpc.ros.messages import clock_message, trajectory_message
 
 SECOND = 10**9
 

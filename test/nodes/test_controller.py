@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Goals, Path
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -26,13 +27,12 @@ from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import NANOSECONDS, stamp_text
+from sphere_nmpc.ros.cdr import hold_and_stamp, joint_states_message
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import (
-    hold_from_trajectory,
-    joint_states_message,
     pose_from_ros,
     pose_to_ros,
     stamp_from_ros,
@@ -123,7 +123,7 @@ class Robot:
 
     def holds(self) -> list:
         """Holds sent, each once: on a busy machine poses are late and commands are repeated."""
-        sent = (hold_from_trajectory(message, 0) for message in self.trajectories)
+        sent = (hold_and_stamp(it, 0)[0] for it in map(serialize_message, self.trajectories))
         return list({hold.start: hold for hold in sent}.values())
 
     @property
@@ -559,7 +559,7 @@ def test_nanoseconds_are_resolved_at_the_time_of_a_bag_that_is_played(robot) -> 
     sent = len(robot.trajectories)
     robot.pass_time(1.0)
     for message in robot.trajectories[sent:]:
-        assert_within_acceleration(hold_from_trajectory(message, played))
+        assert_within_acceleration(hold_and_stamp(serialize_message(message), played)[0])
 
 
 def test_lockstep_answers_each_sample_instant_and_repeats_its_answer(graph) -> None:

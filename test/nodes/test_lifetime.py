@@ -14,11 +14,13 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE
 from rclpy.duration import Duration
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.ros.messages import hold_from_trajectory, pose_to_ros, stamp_to_ros
+from sphere_nmpc.ros.cdr import hold_and_stamp
+from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
@@ -63,7 +65,8 @@ def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
     finally:
         controller.kill()
         controller.wait()
-    before, last = (hold_from_trajectory(message, 0) for message in trajectories[-2:])
+    sent = map(serialize_message, trajectories[-2:])
+    before, last = (hold_and_stamp(message, 0)[0] for message in sent)
     assert not last.speeds[-1].any()
     assert last.end - last.start <= 0.25 + 1e-6, "100 rad/s at 400 rad/s^2"
     np.testing.assert_allclose(last.speeds[0], before.at(last.start), atol=1e-6)

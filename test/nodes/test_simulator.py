@@ -21,7 +21,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.messages import JOINT_NAMES, pose_from_ros, stamp_from_ros, stamp_to_ros
+from sphere_nmpc.ros.cdr import JOINT_NAMES
+from sphere_nmpc.ros.messages import pose_from_ros, stamp_from_ros, stamp_to_ros
 from sphere_sim.ros.simulator import state_publisher
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings

@@ -11,7 +11,7 @@ from rclpy.time import Time
 
 from sphere_nmpc.control.timing import ClockWatch
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.messages import clock_stamp, seconds
+from sphere_nmpc.ros.cdr import clock_stamp, seconds
 
 _RESOLVED = 10**15
 """Time [ns] up to which a float of seconds resolves a nanosecond: the knots of commands keep their

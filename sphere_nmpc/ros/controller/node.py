@@ -27,11 +27,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.schedule import LockstepSchedule, PlanRequest, Schedule, TimedPose
-from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.errors import InvalidParameterError, InvalidValueError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.cdr import Pose, read
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
@@ -44,7 +45,6 @@ from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import header_stamp, pose_of_message
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
@@ -281,14 +281,15 @@ class ControllerNode(RunnableNode):
         schedule = self._schedule
         now = self._control_clock.steady_now() if schedule.is_real_time else None
         try:
-            stamp = header_stamp(message)
+            received = read(message, Pose)
+            stamp = received.stamp
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
             self._monitor.pose_received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
-            pose = TimedPose(stamp, measured, pose_of_message(message, self._frame))
+            pose = TimedPose(stamp, measured, received.in_frame(self._frame))
             self._monitor.stamps.received(measured, pose.state)
-        except InvalidStateError as error:
+        except InvalidValueError as error:
             self._fault_log.report("pose refused", str(error))
             return
         if stamp == schedule.answered:

@@ -22,11 +22,12 @@ from sphere_nmpc.control.monitors import rotor_reserve
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.cdr import stamp_of
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force
 from sphere_nmpc.ros.diagnostics import status, status_name
 from sphere_nmpc.ros.guarded_node import LATCHED
-from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros, stamp_of
+from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
 
 _KEPT = 1000

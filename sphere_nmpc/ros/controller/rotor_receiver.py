@@ -11,10 +11,10 @@ from sensor_msgs.msg import JointState
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.ros.cdr import rotor_speeds_and_stamp
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.messages import rotor_speeds_and_stamp
 
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _SPACING = 8e-3

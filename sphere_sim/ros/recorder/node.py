@@ -19,7 +19,6 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
@@ -30,6 +29,7 @@ from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.ros.cdr import Status, read
 from sphere_nmpc.ros.graph_monitor import (
     INVALID,
     UNKNOWN,
@@ -39,7 +39,6 @@ from sphere_nmpc.ros.graph_monitor import (
     publishers_of,
 )
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import message_object
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
 from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.recorder_settings import (
@@ -148,10 +147,9 @@ class RecorderNode(RunnableNode):
         if not status or "pose" not in self._named:
             return
         try:
-            pairs = message_object(status, DiagnosticStatus).values
+            topic = read(status, Status).values.get(POSE_TOPIC, "")
         except InvalidInputError:
             return  # it is recorded all the same
-        topic = next((pair.value for pair in pairs if pair.key == POSE_TOPIC), "")
         if topic not in ("", self._named["pose"]):
             self._named["pose"] = topic
             self._patterns.append(topic)

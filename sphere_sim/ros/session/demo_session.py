@@ -4,7 +4,6 @@
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
+from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.cdr import rotor_speeds_and_stamp
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.messages import joint_states_from_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.recording.message_fields import number
@@ -60,7 +59,9 @@ class DemoSession:
         self.rotor_speeds: Vector = np.zeros(2)
         """Newest rotor speeds [rad/s]."""
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(JointState, "joint_states", self._note_joints, newest)
+        self._node.create_subscription(
+            JointState, "joint_states", self._note_joints, newest, raw=True
+        )
 
     def __enter__(self) -> "DemoSession":
         return self
@@ -130,9 +131,10 @@ class DemoSession:
             )
         return future.result()
 
-    def _note_joints(self, message: Any) -> None:
-        with suppress(InvalidInputError):
-            _, self.rotor_speeds, _ = joint_states_from_ros(message)
+    def _note_joints(self, message: bytes) -> None:
+        speeds, _ = rotor_speeds_and_stamp(message)
+        if speeds is not None:
+            self.rotor_speeds = speeds
 
 
 def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...]) -> list[str]:

@@ -13,7 +13,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.messages import pose_from_ros, seconds, stamp_from_ros
+from sphere_nmpc.ros.cdr import seconds
+from sphere_nmpc.ros.messages import pose_from_ros, stamp_from_ros
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, GoalRun
 from sphere_sim.ros.session.goal_messages import pose_message
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender

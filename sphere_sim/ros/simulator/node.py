@@ -27,12 +27,12 @@ from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.cdr import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.lifetime import RunnableNode, run
-from sphere_nmpc.ros.messages import BODY_FRAME
 from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
 from sphere_sim.ros.simulator.controllers import Controllers
 from sphere_sim.ros.simulator.receivers import CommandReceiver, PushReceiver

@@ -14,7 +14,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.messages import hold_and_stamp, speeds_of_message, stamp_to_ros
+from sphere_nmpc.ros.cdr import hold_and_stamp, speeds_of_message
+from sphere_nmpc.ros.messages import stamp_to_ros
 from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.world.simulator import Simulator
 

@@ -12,16 +12,14 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from sphere_nmpc.ros.messages import (
+from sphere_nmpc.ros.cdr import (
     BODY_FRAME,
     WORLD_FRAME,
     clock_message,
     joint_states_message,
-    odometry_to_ros,
     pose_message,
-    pose_to_ros,
-    transform_from_pose,
 )
+from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros, transform_from_pose
 from sphere_sim.world.simulator import Simulator
 
 try:

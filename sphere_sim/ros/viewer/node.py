@@ -22,8 +22,8 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
-from sphere_nmpc.ros.messages import WORLD_FRAME
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.recording.run import setup_text

@@ -14,18 +14,13 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.ros import cdr
+from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_nmpc.ros.graph_monitor import publishers_of
-from sphere_nmpc.ros.messages import (
-    framed_pose_from_ros,
-    joint_states_from_ros,
-    pose_from_ros,
-    seconds,
-    stamp_from_ros,
-)
-from sphere_sim.recording.message_fields import floor_of
+from sphere_nmpc.ros.messages import pose_from_ros
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import Frame
 
@@ -55,17 +50,20 @@ class RobotSubscriptions:
         self._diagnostics_prefix = f"{node.get_namespace()}/controller:".lstrip("/")
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(PoseStamped, "pose", self._take_pose, newest)
+        node.create_subscription(PoseStamped, "pose", self._take_pose, newest, raw=True)
         node.create_subscription(
-            PoseStamped, "controller/active_goal", self._take_goal, latched
+            PoseStamped, "controller/active_goal", self._take_goal, latched, raw=True
         )
         node.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
         if scene_only:
             return
-        node.create_subscription(OccupancyGrid, "controller/floor", self._take_floor, latched)
-        node.create_subscription(JointState, "joint_states", self._take_joint_states, newest)
-        node.create_subscription(DiagnosticStatus, _STATUS, self._take_status, newest)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
+        for kind, topic, take, qos in (
+            (OccupancyGrid, "controller/floor", self._take_floor, latched),
+            (JointState, "joint_states", self._take_joint_states, newest),
+            (DiagnosticStatus, _STATUS, self._take_status, newest),
+            (DiagnosticArray, "/diagnostics", self._take_diagnostics, 10),
+        ):
+            node.create_subscription(kind, topic, take, qos, raw=True)
 
     @property
     def paused(self) -> bool:
@@ -77,28 +75,28 @@ class RobotSubscriptions:
         controllers = publishers_of(self._node, _STATUS, DiagnosticStatus)
         return self._live.take(time.monotonic(), len(controllers))
 
-    def _take_pose(self, message: PoseStamped) -> None:
+    def _take_pose(self, raw: bytes) -> None:
         now = self._arrival()
+        pose = cdr.read(raw, cdr.Pose)
         try:
-            state = framed_pose_from_ros(message, self._frame)
+            state = pose.in_frame(self._frame)
         except InvalidStateError as error:
             self._live.refused = str(error)
             return
-        stamp = seconds(stamp_from_ros(message.header.stamp))
-        self._live.add_pose(stamp, state, float(message.pose.position.z), now)
+        self._live.add_pose(cdr.seconds(pose.stamp), state, pose.numbers[2], now)
         self._on_pose()
 
-    def _take_joint_states(self, message: JointState) -> None:
+    def _take_joint_states(self, raw: bytes) -> None:
         self._arrival()
-        # Others have other joints, or no position, velocity or effort.
-        with suppress(InvalidInputError, IndexError):
-            self._live.add_rotors(*joint_states_from_ros(message)[1:])
+        rotors = cdr.read(raw, cdr.Joints).of_rotors()
+        if rotors is not None:  # others have other joints
+            self._live.add_rotors(*rotors[1:])
 
-    def _take_goal(self, message: PoseStamped) -> None:
+    def _take_goal(self, raw: bytes) -> None:
         self._arrival()
+        goal = cdr.read(raw, cdr.Pose)
         with suppress(InvalidStateError):
-            stamp = stamp_text(stamp_from_ros(message.header.stamp))
-            self._live.add_goal(stamp, pose_from_ros(message))
+            self._live.add_goal(stamp_text(goal.stamp), goal.in_frame(goal.frame))
 
     def _take_plan(self, message: Path) -> None:
         self._live.controller_at = self._arrival()
@@ -106,21 +104,22 @@ class RobotSubscriptions:
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
             self._live.update(plan=np.array(states).reshape(-1, 6))
 
-    def _take_floor(self, message: OccupancyGrid) -> None:
+    def _take_floor(self, raw: bytes) -> None:
         self._arrival()
         self._live.floor_refused = ""
         try:
-            self._live.update(floor=floor_of(message))
+            self._live.update(floor=floor_of(cdr.read(raw, cdr.OccupancyGrid)))
         except InvalidMapError as error:
             self._live.floor_refused = str(error)
 
-    def _take_status(self, message: DiagnosticStatus) -> None:
+    def _take_status(self, raw: bytes) -> None:
         self._live.controller_at = self._arrival()
-        self._live.add_status({pair.key: pair.value for pair in message.values})
+        self._live.add_status(cdr.read(raw, cdr.Status).values)
 
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+    def _take_diagnostics(self, raw: bytes) -> None:
         now = self._arrival()
-        if any(status.name.startswith(self._diagnostics_prefix) for status in message.status):
+        statuses = cdr.read(raw, cdr.Diagnostics).statuses
+        if any(status.name.startswith(self._diagnostics_prefix) for status in statuses):
             self._live.controller_at = now
 
     def _arrival(self) -> float:

@@ -3,23 +3,19 @@
 """Recording sessions: log times, latched messages, consecutive bags and failures, without ROS."""
 
 import resource
-import struct
 from pathlib import Path
 
 import pytest
 from rosbags.rosbag2 import Reader
 
 from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.ros.cdr import clock_message
 from sphere_sim.recording.session import RecordingSession
 
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 FLAG, FLAG_TYPE = "/flag", "std_msgs/msg/Bool"
 TRUE = b"\x00\x01\x00\x00\x01"
 S = 1_000_000_000
-
-
-def clock_message(stamp: int) -> bytes:
-    return b"\x00\x01\x00\x00" + struct.pack("<iI", stamp // S, stamp % S)
 
 
 class Recorded:
@@ -62,7 +58,7 @@ def test_log_time_is_simulated_and_that_of_the_last_two_before_it_is_its_first(b
     session.stop()
     assert stamps(bag) == [4 * S, 4 * S, 5 * S] and stamps(bag, CLOCK)[-1] == 5 * S
     assert len(recorded.warnings) == 1
-    assert recorded.warnings[0].startswith("/clock refused: given b'")
+    assert recorded.warnings[0].startswith("/clock refused: Clock: given b'")
 
 
 def test_latched_messages_are_repeated_in_a_later_bag_and_others_are_in_none(bag) -> None:

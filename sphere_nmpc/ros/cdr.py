@@ -1,0 +1,401 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages in their serialised form (CDR), from and to arrays and stamps, without ROS.
+
+Stamps are whole nanoseconds, so that they compare exactly; control times are seconds since
+`epoch`, a stamp [ns] that is 0 in simulated time. wxyz becomes xyzw here and in `messages` only.
+
+Nodes read and write what passes at up to 2000 Hz in this form, as rclpy makes message objects
+field by field: with objects a pose or a trajectory of ten knots takes ten times as long to write.
+Recordings are read in the same way. `read` reads a message of any machine as the record of its
+type, with its fields as they are, unchecked.
+
+What cannot be read or used raises an `InvalidStateError`, where it is a pose, or an
+`InvalidInputError`.
+"""
+
+import struct
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.quantity import NANOSECONDS
+
+JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
+"""Names of the rotors about body x and body y."""
+WORLD_FRAME = "world"
+BODY_FRAME = "base_link"
+
+_PLAIN = b"\x00\x01\x00\x00"
+"""Encapsulation: plain CDR with the least significant byte first."""
+_ORDERS = {_PLAIN[:2]: "<", b"\x00\x00": ">"}
+_BEGIN = len(_PLAIN)
+"""Where the message begins; its numbers are aligned to their size from here."""
+_STAMP = struct.Struct("<iI")
+_LENGTH = struct.Struct("<I")
+
+
+class Clock(NamedTuple):
+    """Time [ns]."""
+
+    stamp: int
+
+
+class Pose(NamedTuple):
+    """Stamped pose: x, y, z [m] and the quaternion xyzw."""
+
+    stamp: int
+    frame: str
+    numbers: tuple[float, ...]
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """Numbers of the state x, y [m] and quaternion wxyz, unchecked."""
+        x, y, _, qx, qy, qz, qw = self.numbers
+        return x, y, qw, qx, qy, qz
+
+    def in_frame(self, frame: str) -> Vector:
+        """Return the state, shape (6,), of a pose in the given frame or without one."""
+        if self.frame not in ("", frame):
+            raise InvalidStateError("frame", self.frame, f"'{frame}' (world_frame) or none")
+        x, y, _, qx, qy, qz, qw = self.numbers  # not of `state`, as this runs for each pose
+        return make_state((x, y), (qw, qx, qy, qz))
+
+
+class Joints(NamedTuple):
+    """Angles [rad], speeds [rad/s] and torques [N m] of joints."""
+
+    stamp: int
+    frame: str
+    names: list[str]
+    angles: Vector
+    speeds: Vector
+    torques: Vector
+
+    def of_rotors(self) -> Vector | None:
+        """Return angles, speeds and torques of the rotors, shape (3, 2); None if one is missing.
+
+        They are nan where the message has fewer numbers than names.
+        """
+        order = [self.names.index(name) for name in JOINT_NAMES if name in self.names]
+        if len(order) < len(JOINT_NAMES):
+            return None
+        return np.array([
+            [values[i] if i < len(values) else np.nan for i in order]
+            for values in (self.angles, self.speeds, self.torques)
+        ])
+
+
+class Trajectory(NamedTuple):
+    """Points of a trajectory: positions, velocities, accelerations, efforts, time after start."""
+
+    stamp: int
+    frame: str
+    names: list[str]
+    points: list[tuple[Vector, Vector, Vector, Vector, int]]
+
+    def knots(self) -> tuple[NDArray[np.int64], Vector]:
+        """Return times after the start [ns], shape (K,), and rotor speeds [rad/s], shape (K, 2).
+
+        Rotors are matched by name, in any order. Points need velocities; positions and
+        accelerations are ignored.
+        """
+        if sorted(self.names) != sorted(JOINT_NAMES):
+            raise InvalidInputError(
+                "rotor names", self.names, f"{list(JOINT_NAMES)} in any order"
+            )
+        order = [self.names.index(name) for name in JOINT_NAMES]
+        given = [len(point[1]) for point in self.points]
+        if not given or any(number != len(order) for number in given):
+            raise InvalidInputError(
+                "velocities of the points", given, f"one point or more with {len(order)} each"
+            )
+        after: NDArray[np.int64] = np.array([point[4] for point in self.points], dtype=np.int64)
+        speeds: Vector = np.array([point[1] for point in self.points], dtype=float)
+        return after, speeds[:, order]
+
+
+class Status(NamedTuple):
+    """Status with its key-value pairs."""
+
+    level: tuple[int]
+    name: str
+    message: str
+    hardware: str
+    pairs: list[tuple[str, str]]
+
+    @property
+    def values(self) -> dict[str, str]:
+        """Values by their keys."""
+        return dict(self.pairs)
+
+
+class Diagnostics(NamedTuple):
+    """Statuses of any nodes, as their fields."""
+
+    stamp: int
+    frame: str
+    fields: list[Any]
+
+    @property
+    def statuses(self) -> list[Status]:
+        """The statuses."""
+        return [Status(*fields) for fields in self.fields]
+
+
+class Vector3(NamedTuple):
+    """Stamped vector."""
+
+    stamp: int
+    frame: str
+    vector: tuple[float, ...]
+
+
+class OccupancyGrid(NamedTuple):
+    """Map with side of its cells [m], width, height, pose of its corner, and values row by row."""
+
+    stamp: int
+    frame: str
+    loaded: int
+    resolution: tuple[float]
+    size: tuple[int, int]
+    origin: tuple[float, ...]
+    cells: Any
+
+
+class Numbers(NamedTuple):
+    """Numbers with a description of their dimensions and an offset."""
+
+    dimensions: list[tuple[str, tuple[int, int]]]
+    offset: tuple[int]
+    numbers: Vector
+
+
+TYPES: dict[Any, str] = {
+    Pose: "geometry_msgs/msg/PoseStamped",
+    Joints: "sensor_msgs/msg/JointState",
+    Trajectory: "trajectory_msgs/msg/JointTrajectory",
+    Status: "diagnostic_msgs/msg/DiagnosticStatus",
+    Diagnostics: "diagnostic_msgs/msg/DiagnosticArray",
+    Vector3: "geometry_msgs/msg/Vector3Stamped",
+    OccupancyGrid: "nav_msgs/msg/OccupancyGrid",
+}
+"""Types of messages by the records of those that are read of a recording."""
+RECORDS = {msgtype: record for record, msgtype in TYPES.items()}
+"""These records by types of messages."""
+_TEXT, _TIME = "text", "time"
+"""Kinds of fields: a string; a time, as whole nanoseconds. The others are numbers in letters of
+`struct`, read as a tuple. A list has any number of its kind; a tuple is a record of kinds."""
+_HEADS = {_TEXT: "I", _TIME: "iI"}
+"""Numbers that fields of these kinds begin with."""
+_NUMBERS = "d", "b"
+"""Kinds of numbers of which there are arrays."""
+_NO_NUMBERS: Vector = np.empty(0)
+_HEADER = _TIME, _TEXT
+_STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
+_LAYOUTS: dict[Any, tuple[Any, ...]] = {
+    Clock: (_TIME,),
+    Pose: (*_HEADER, "7d"),
+    Joints: (*_HEADER, [_TEXT], ["d"], ["d"], ["d"]),
+    Trajectory: (*_HEADER, [_TEXT], [(["d"], ["d"], ["d"], ["d"], _TIME)]),
+    Status: _STATUS,
+    Diagnostics: (*_HEADER, [_STATUS]),
+    Vector3: (*_HEADER, "3d"),
+    OccupancyGrid: (*_HEADER, _TIME, "f", "2I", "7d", ["b"]),
+    Numbers: ([(_TEXT, "2I")], "I", ["d"]),
+}
+"""Kinds of the fields of records, in the order in which a message has them."""
+_Record = TypeVar("_Record")
+
+
+def read(raw: bytes, record: type[_Record]) -> _Record:
+    """Return a serialised message as a record of its type."""
+    try:
+        values, _ = _fields(raw, _BEGIN, _ORDERS[raw[:2]], _LAYOUTS[record])
+    except (KeyError, ValueError, struct.error):
+        raise InvalidInputError(record.__name__, raw, "a message of this type") from None
+    return record(*values)
+
+
+def seconds(stamp: int, epoch: int = 0) -> float:
+    """Return a stamp [ns] as control time [s] since `epoch` [ns]."""
+    return (stamp - epoch) / NANOSECONDS
+
+
+def stamp_of(time: float, epoch: int = 0) -> int:
+    """Return the stamp [ns] of a control time [s] since `epoch` [ns]."""
+    return epoch + round(time * NANOSECONDS)
+
+
+def clock_message(stamp: int) -> bytes:
+    """Return the Clock message of a stamp [ns]."""
+    return _PLAIN + _STAMP.pack(*divmod(stamp, NANOSECONDS))
+
+
+def clock_stamp(raw: bytes) -> int:
+    """Return the stamp [ns] of a Clock message, of 0 or more, as a ROS clock has it."""
+    stamp = read(raw, Clock).stamp
+    if stamp < 0:
+        raise InvalidInputError("clock", stamp / NANOSECONDS, "0 or more [s]")
+    return stamp
+
+
+def pose_message(
+    state: Vector, stamp: int, shell_radius: float, frame: str = WORLD_FRAME
+) -> bytes:
+    """Return a state, shape (6,), as the PoseStamped of a sphere resting on the plane z = 0.
+
+    `stamp` is its time [ns], `shell_radius` the height of the centre [m].
+    """
+    x, y, qw, qx, qy, qz = state.tolist()
+    numbers = struct.pack("<7d", x, y, shell_radius, qx, qy, qz, qw)
+    return _aligned(clock_message(stamp) + _text(frame)) + numbers
+
+
+def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
+    """Return the state, shape (6,), of a serialised PoseStamped; see `Pose.in_frame`."""
+    return read(raw, Pose).in_frame(frame)
+
+
+def trajectory_message(hold: FirstOrderHold, epoch: int = 0) -> bytes:
+    """Return a first-order hold as the JointTrajectory of velocities alone at its knots.
+
+    It is stamped with the time of the first one. A controller that interpolates the speeds
+    linearly, as ros2_controllers' joint trajectory controller does with velocities alone, moves
+    the rotors exactly as planned.
+    """
+    start = stamp_of(hold.start, epoch)
+    # As `stamp_of`, for all knots.
+    after = np.rint(hold.times * NANOSECONDS).astype(np.int64) - (start - epoch)
+    points = np.zeros(hold.times.size, _POINT)
+    points["velocities"] = len(JOINT_NAMES)
+    points["speeds"] = hold.speeds
+    points["seconds"], points["nanoseconds"] = np.divmod(after, NANOSECONDS)
+    count = _LENGTH.pack(hold.times.size)
+    return b"".join((clock_message(start), _JOINTS, count, points.tobytes()))
+
+
+def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold, int]:
+    """Return hold and stamp [ns] of a serialised JointTrajectory; see `Trajectory.knots`.
+
+    `now` is the start [ns] of a trajectory with stamp 0, which means "now".
+    """
+    trajectory = read(raw, Trajectory)
+    after, speeds = trajectory.knots()
+    times = (after + ((trajectory.stamp or now) - epoch)) / NANOSECONDS
+    return FirstOrderHold(times, speeds), trajectory.stamp
+
+
+def speeds_message(speeds: Vector) -> bytes:
+    """Return rotor speeds [rad/s], shape (2,), as a Float64MultiArray."""
+    return _PLAIN + struct.pack("<3I4x2d", 0, 0, len(JOINT_NAMES), *speeds.tolist())
+
+
+def speeds_of_message(raw: bytes) -> Vector:
+    """Return the numbers of a serialised Float64MultiArray, shape (K,)."""
+    return read(raw, Numbers).numbers
+
+
+def joint_states_message(angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> bytes:
+    """Return rotor angles [rad], speeds [rad/s] and motor torques [N m], each of shape (2,)."""
+    both = len(JOINT_NAMES)
+    values = _STATES.pack(both, *angles.tolist(), both, *speeds.tolist(), both, *torques.tolist())
+    return clock_message(stamp) + _JOINTS + values
+
+
+def rotor_speeds_and_stamp(raw: bytes) -> tuple[Vector | None, int]:
+    """Return rotor speeds [rad/s], shape (2,), and stamp [ns] of a serialised JointState.
+
+    The joints may be more, in any order; the speeds are None if one is missing or not finite.
+    """
+    joints = read(raw, Joints)
+    found = joints.of_rotors()
+    return None if found is None or not np.isfinite(found[1]).all() else found[1], joints.stamp
+
+
+def grid_message(
+    cells: Any, resolution: float, origin: Sequence[float], stamp: int, frame: str
+) -> bytes:
+    """Return values of a map, shape (H, W), as an OccupancyGrid; see the record of that name."""
+    height, width = cells.shape
+    time = divmod(stamp, NANOSECONDS)
+    head = clock_message(stamp) + _text(frame) + struct.pack("<iIfII", *time, resolution, width,
+                                                             height)
+    return _aligned(head) + struct.pack("<7dI", *origin, cells.size) + cells.tobytes()
+
+
+def _fields(
+    raw: bytes, at: int, order: str, layout: Sequence[Any]
+) -> tuple[tuple[Any, ...], int]:
+    """Return fields of a message from a place on, and the place behind them."""
+    values: list[Any] = []
+    for kind in layout:
+        size, packed = _numbers(order, _HEADS.get(kind, kind) if isinstance(kind, str) else "I")
+        at += (_BEGIN - at) % size
+        numbers = packed.unpack_from(raw, at)
+        at += packed.size
+        value: Any = numbers
+        if kind is _TIME:
+            value = numbers[0] * NANOSECONDS + numbers[1]
+        elif kind is _TEXT:
+            text = raw[at : at + numbers[0]]
+            if len(text) < numbers[0]:
+                raise ValueError(numbers)
+            value = text.removesuffix(b"\x00").decode(errors="replace")
+            at += len(text)
+        elif isinstance(kind, list):
+            value = _NO_NUMBERS
+            if numbers[0] or kind[0] not in _NUMBERS:
+                value, at = _sequence(raw, at, order, numbers[0], kind[0])
+        values.append(value)
+    return tuple(values), at
+
+
+def _sequence(raw: bytes, at: int, order: str, count: int, kind: Any) -> tuple[Any, int]:
+    """Return as many values of one kind, numbers as an array, and the place behind them."""
+    if isinstance(kind, tuple):
+        records = []
+        for _ in range(count):
+            record, at = _fields(raw, at, order, kind)
+            records.append(record)
+        return records, at
+    if kind is _TEXT:
+        texts, at = _fields(raw, at, order, (kind,) * min(count, len(raw)))
+        return list(texts), at
+    dtype = np.dtype(order + kind)
+    at += (_BEGIN - at) % dtype.itemsize
+    return np.frombuffer(raw, dtype, count, at), at + count * dtype.itemsize
+
+
+@cache
+def _numbers(order: str, letters: str) -> tuple[int, struct.Struct]:
+    """Return the alignment [bytes] of numbers, and how to read them."""
+    return struct.calcsize(f"<{letters[-1]}"), struct.Struct(order + letters)
+
+
+def _text(*words: str) -> bytes:
+    """Return strings as CDR has them: length, characters, a zero byte, and padding to four."""
+    parts = [word.encode() + b"\x00" for word in words]
+    return b"".join(_LENGTH.pack(len(part)) + part + bytes(-len(part) % 4) for part in parts)
+
+
+def _aligned(head: bytes) -> bytes:
+    """Return the beginning of a message with padding for numbers of eight bytes."""
+    return head + bytes((_BEGIN - len(head)) % 8)
+
+
+_JOINTS = _text("") + _LENGTH.pack(len(JOINT_NAMES)) + _text(*JOINT_NAMES)
+"""From the stamp to the values: no frame, and the names of the joints."""
+_POINT = np.dtype([
+    ("positions", "<u4"), ("velocities", "<u4"), ("speeds", "<f8", (2,)), ("after", "<u8"),
+    ("seconds", "<i4"), ("nanoseconds", "<u4"),
+])
+"""Point of a trajectory of velocities alone: numbers of positions and velocities, the velocities,
+numbers of accelerations and efforts, and the time."""
+_STATES = struct.Struct("<I2dI4x2dI4x2d")

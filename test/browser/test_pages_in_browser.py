@@ -120,7 +120,8 @@ def test_text_of_other_programs_is_shown_as_text(page) -> None:
         page.open(viewer.url)
         wait_for(f"up {LURE}", 1)  # among the alerts
         wait_for(LURE, 3)  # and again, with the mode
-        choice = "[...document.querySelectorAll('input')].some(e => e.value.startsWith('<img src=x'))"
+        inputs = "[...document.querySelectorAll('input')]"
+        choice = f"{inputs}.some(e => e.value.startsWith('<img src=x'))"
         page.wait(
             lambda: viewer.tick() or page.evaluate(choice), "the strategy is not in its list"
         )

@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from delayed_worker import DelayedWorker
 from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.conditions import Kind
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import route_to
@@ -41,24 +39,19 @@ LARGER = RobotParameters(shell_radius=1.15 * RADIUS)
 """The sphere with a shell that is 15 % larger."""
 
 
-def places_of(loop: SampledLoop) -> Vector:
-    return np.array(loop.states)[:, POSITION]
-
-
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("goal", [pose(5.0, 2.0), pose(3.0, 2.0)])
 def test_it_stops_inside_of_an_area_that_is_dropped_over_it(strategy: str, goal: Vector) -> None:
     """Also where the goal is in it; there every distance is 0, so that none falls."""
-    loop = SampledLoop(pose(1.0, 2.0), replace(SETTINGS, strategy=strategy))
-    loop.controller.floor = floor_of([])
-    loop.controller.set_goal(goal)
+    settings = replace(SETTINGS, strategy=strategy)
+    loop = SampledLoop(pose(1.0, 2.0), settings, floor=floor_of([]), goal=goal)
     loop.run(1.5)
     loop.controller.floor = area = floor_of([(0.5, 0.5, 4.0, 3.5)])
     loop.sample()
     stop = float(np.linalg.norm(np.diff(loop.path()[:, POSITION], axis=0), axis=1).sum())
     begins = len(loop.states)
     loop.run(4.0)
-    way = np.linalg.norm(np.diff(places_of(loop)[begins:], axis=0), axis=1).sum()
+    way = np.linalg.norm(np.diff(loop.places[begins:], axis=0), axis=1).sum()
     assert way <= stop + 1e-3
     assert stop < 0.3
     assert "the place of the sphere is occupied" in loop.decision.plan.given_up
@@ -71,9 +64,8 @@ def test_it_stops_inside_of_an_area_that_is_dropped_over_it(strategy: str, goal:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_a_goal_in_an_area_is_not_reached_though_the_sphere_is_there(strategy: str) -> None:
-    loop = SampledLoop(pose(1.0, 2.0), replace(SETTINGS, strategy=strategy))
-    loop.controller.floor = floor_of([])
-    loop.controller.set_goal(pose(1.0, 2.0))
+    settings, goal = replace(SETTINGS, strategy=strategy), pose(1.0, 2.0)
+    loop = SampledLoop(goal, settings, floor=floor_of([]), goal=goal)
     loop.run(1.0)
     assert loop.decision.mode is Kind.AT_GOAL
     loop.controller.floor = floor_of([(0.5, 1.5, 1.5, 2.5)])
@@ -164,12 +156,11 @@ def test_the_bound_of_the_way_holds_with_momentum_and_imbalance(robot: RobotPara
 @pytest.mark.parametrize("goal", [RADIUS + 0.031, LARGER.shell_radius + 0.02])
 def test_a_larger_sphere_is_never_rolled_into_a_wall(goal: float) -> None:
     """By 15 per cent, to a goal beside a wall that one as built may come to."""
-    loop = SampledLoop(pose(3.0, 2.0), SETTINGS, LARGER)
-    loop.controller.floor = floor = floor_of([], clearance=0.03)
-    loop.controller.set_goal(pose(goal, 2.0))
+    floor = floor_of([], clearance=0.03)
+    loop = SampledLoop(pose(3.0, 2.0), SETTINGS, LARGER, floor=floor, goal=pose(goal, 2.0))
     loop.run(12.0)
     radius = LARGER.shell_radius
-    assert least_distance(floor, places_of(loop)) >= radius
+    assert least_distance(floor, loop.places) >= radius
     plan = loop.decision.plan
     if goal < radius:
         assert f"less than the radius that is learnt, {radius:.3g} m" in plan.given_up
@@ -212,9 +203,7 @@ def test_a_goal_at_just_the_distance_is_not_refused_as_the_learnt_radius_varies(
 def test_a_command_that_begins_late_is_certified_as_it_is_sent() -> None:
     """Each is sent 0.1 s late: what it leads to keeps clear from the state in which it begins."""
     floor = floor_of([*DOORWAY, (1.8, 0.0, 1.9, 2.2)])
-    loop = SampledLoop(pose(1.0, 1.0), SETTINGS, delay=0.1)
-    loop.controller.floor = floor
-    loop.controller.set_goal(pose(4.5, 1.0))
+    loop = SampledLoop(pose(1.0, 1.0), SETTINGS, delay=0.1, floor=floor, goal=pose(4.5, 1.0))
     least = math.inf
     for _ in range(80):
         loop.sample()
@@ -227,15 +216,11 @@ def test_a_command_that_begins_late_is_certified_as_it_is_sent() -> None:
 def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
     """By a tenth of the radius, so that there are finitely many rests."""
     floor, goal = floor_of([*DOORWAY, (1.8, 0.0, 1.9, 2.2)]), pose(4.5, 1.0)
-    loop = SampledLoop(pose(1.0, 1.0), SETTINGS)
-    worker = DelayedWorker(lambda: loop.simulator.time, 0.05)
-    loop.controller = Controller(SETTINGS, ROBOT, worker=worker)
-    loop.controller.floor = floor
-    loop.controller.set_goal(goal)
+    loop = SampledLoop(pose(1.0, 1.0), SETTINGS, floor=floor, goal=goal, search_time=0.05)
     loop.run(16.0)
     assert state_error(loop.pose, goal) < 1e-2
     way = route_to(floor, goal[POSITION])
-    tasks = [task for task in worker.tasks if isinstance(task, SearchTask)]
+    tasks = [task for task in loop.worker.tasks if isinstance(task, SearchTask)]
     left = [way.length(task.rested) for task in tasks if task.rested is not None]
     assert len(left) > 5
     falls = -np.diff(left)
@@ -267,21 +252,21 @@ class Given:
 
 @pytest.mark.parametrize("status", [s for s in PlanStatus if s is not PlanStatus.RAMP_TO_REST])
 def test_no_plan_of_any_status_leads_into_a_wall(status: PlanStatus) -> None:
-    loop = SampledLoop(pose(2.0, 2.0))
-    loop.controller = Controller(SETTINGS, ROBOT, Given(status, rolled(1.0, back=False)))
-    loop.controller.floor = floor = floor_of([(3.0, 0.0, 3.1, 4.0)])
-    loop.controller.set_goal(pose(1.0, 2.0))
+    floor = floor_of([(3.0, 0.0, 3.1, 4.0)])
+    strategy = Given(status, rolled(1.0, back=False))
+    loop = SampledLoop(
+        pose(2.0, 2.0), SETTINGS, floor=floor, goal=pose(1.0, 2.0), strategy=strategy
+    )
     loop.run(4.0)
-    assert least_distance(floor, places_of(loop)) >= floor.needed
+    assert least_distance(floor, loop.places) >= floor.needed
     assert not loop.controller.failures
 
 
 def test_a_failing_strategy_stops_before_a_new_obstacle() -> None:
-    loop = SampledLoop(pose(1.0, 2.0))
     strategy = Given(PlanStatus.SOLVED, rolled(1.5, back=False))
-    loop.controller = Controller(SETTINGS, ROBOT, strategy)
-    loop.controller.floor = floor_of([])
-    loop.controller.set_goal(pose(5.0, 2.0))
+    loop = SampledLoop(
+        pose(1.0, 2.0), SETTINGS, floor=floor_of([]), goal=pose(5.0, 2.0), strategy=strategy
+    )
     loop.sample()
     loop.advance(0.05)
     loop.controller.floor = floor = Floor(
@@ -290,4 +275,4 @@ def test_a_failing_strategy_stops_before_a_new_obstacle() -> None:
     strategy.hold = None
     loop.run(2.0)
     assert loop.controller.failures
-    assert least_distance(floor, places_of(loop)) > RADIUS
+    assert least_distance(floor, loop.places) > RADIUS

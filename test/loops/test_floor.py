@@ -6,20 +6,20 @@ import gc
 import itertools
 import math
 import weakref
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from delayed_worker import DelayedWorker
 from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
+from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.conditions import Kind
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     POSITION,
     QUATERNION,
@@ -41,52 +41,19 @@ from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal.background import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.lines import line_hold, speeds_along
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
-from sphere_sim.world.plant.factory import make_plant
-from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import Simulator
 
-ROBOT = RobotParameters()
 SOLVER = solver_for(ROBOT, TimeOptimalSettings())
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 SIDEWAYS = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 SETTINGS = ControllerSettings(planning_effort=20_000)
 
 
-class Loop:
-    """Closed loop of an ideal sphere from rest, whose states are kept every millisecond."""
+RATE_50 = replace(SETTINGS, control_rate=50.0)
 
-    def __init__(
-        self, floor: Floor | None, start: Vector, goal: Vector,
-        settings: ControllerSettings = SETTINGS,
-    ) -> None:
-        self.controller = Controller(settings, ROBOT)
-        self.controller.floor = floor
-        self.controller.set_goal(goal)
-        self.period = settings.control_period
-        world = SimulatorSettings(initial_state=tuple(start))
-        self.simulator = Simulator(world, ROBOT, make_plant("rolling", ROBOT, start))
-        self.states: list[Vector] = [start]
 
-    def run(self, duration: float) -> None:
-        for _ in range(round(duration / self.period)):
-            now = self.simulator.time
-            self.controller.observe(now, self.simulator.measured_state())
-            self.decision = self.controller.decide(now)
-            hold = self.controller.commit(self.decision, now)
-            if hold is not None:
-                self.simulator.follower.follow_trajectory(hold)
-            for _ in range(round(1e3 * self.period)):
-                self.simulator.advance_to(self.simulator.now + 1_000_000)
-                self.states.append(self.simulator.plant.state[:6].copy())
-        assert not self.controller.failures, self.controller.last_failure
-
-    @property
-    def places(self) -> Vector:
-        return np.array(self.states)[:, POSITION]
-
-    @property
-    def given_up(self) -> str:
-        return self.decision.plan.given_up
+def rolling(floor: Floor | None, start: Vector, goal: Vector, **others: Any) -> SampledLoop:
+    """Return a loop from rest to a goal on a floor."""
+    return SampledLoop(start, others.pop("settings", SETTINGS), floor=floor, goal=goal, **others)
 
 
 def clearance(floor: Floor, places: Vector) -> float:
@@ -191,7 +158,7 @@ def test_samples_are_no_farther_apart_than_their_bound() -> None:
 def test_through_a_doorway(turn: tuple[float, ...]) -> None:
     floor = floor_of(DOORWAY)
     goal = pose(4.5, 1.0, turn)
-    loop = Loop(floor, pose(1.0, 3.0), goal)
+    loop = rolling(floor, pose(1.0, 3.0), goal)
     loop.run(15.0)
     assert state_error(loop.states[-1], goal) < 1e-2
     assert clearance(floor, loop.places) >= floor.clearance
@@ -202,7 +169,7 @@ def test_a_goal_near_a_wall_is_reached() -> None:
     """Nearer to it than the margin of a plan."""
     floor = floor_of([])
     goal = pose(floor.needed + 1e-3, 2.0, SIDEWAYS)
-    loop = Loop(floor, pose(3.0, 2.0), goal)
+    loop = rolling(floor, pose(3.0, 2.0), goal)
     loop.run(12.0)
     assert state_error(loop.states[-1], goal) < 1e-2
     assert clearance(floor, loop.places) >= floor.clearance - 1e-3
@@ -219,11 +186,11 @@ def test_goals_that_cannot_be_are_refused(
     x: float, y: float, kind: Kind, reason: str, strategy: str
 ) -> None:
     settings = ControllerSettings(strategy=strategy)
-    loop = Loop(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y), settings)
+    loop = rolling(floor_of(DOORWAY), pose(1.0, 3.0), pose(x, y), settings=settings)
     loop.run(1.0)
     assert reason in loop.given_up
     assert loop.decision.plan.unreachable is kind
-    assert (loop.places == loop.places[0]).all()
+    assert not loop.has_moved
 
 
 def with_area(floor: Floor, area: Vector) -> Floor:
@@ -241,13 +208,13 @@ def test_what_an_area_keeps_from_its_goal_may_reach_it_later() -> None:
         (DOORWAY, pose(3.05, 0.5), Kind.GOAL_OCCUPIED),
         ([(3.0, 0.0, 3.1, 4.0)], pose(5.9, 1.0), Kind.GOAL_OCCUPIED),  # too near the edge
     ):
-        loop = Loop(with_area(floor_of(walls), area), pose(1.0, 3.0), goal)
+        loop = rolling(with_area(floor_of(walls), area), pose(1.0, 3.0), goal)
         loop.run(1.0)
         assert loop.given_up and loop.decision.plan.unreachable is kind
-    loop = Loop(with_area(floor_of(DOORWAY), area), pose(4.5, 3.0), pose(1.0, 1.0))
+    loop = rolling(with_area(floor_of(DOORWAY), area), pose(4.5, 3.0), pose(1.0, 1.0))
     loop.run(0.5)
     assert "place of the sphere" in loop.given_up and loop.decision.plan.unreachable is None
-    loop = Loop(floor_of(DOORWAY), pose(3.05, 0.5), pose(1.0, 1.0))
+    loop = rolling(floor_of(DOORWAY), pose(3.05, 0.5), pose(1.0, 1.0))
     loop.run(0.5)
     assert loop.decision.plan.unreachable is Kind.START_OCCUPIED
 
@@ -255,11 +222,11 @@ def test_what_an_area_keeps_from_its_goal_may_reach_it_later() -> None:
 def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
     closed = floor_of([(3.0, 0.0, 3.1, 4.0)])
     goal = pose(4.5, 1.0)
-    loop = Loop(closed, pose(1.0, 3.0), goal)
+    loop = rolling(closed, pose(1.0, 3.0), goal)
     loop.run(3.0)
     assert "no way" in loop.given_up
     assert loop.decision.plan.unreachable is Kind.NO_WAY
-    assert (loop.places == loop.places[0]).all()
+    assert not loop.has_moved
     loop.controller.floor = floor_of(DOORWAY)
     loop.run(12.0)
     assert not loop.given_up
@@ -268,21 +235,18 @@ def test_a_goal_behind_a_wall_is_refused_until_there_is_a_door() -> None:
 
 def test_a_goal_after_one_without_a_way_is_not_held_up_by_searches_beside_the_loop() -> None:
     closed = floor_of([(3.0, 0.0, 3.1, 4.0)])
-    settings = ControllerSettings(planning_effort=20_000, control_rate=50.0)
-    loop = Loop(closed, pose(1.0, 3.0), pose(4.5, 1.0), settings)
-    worker = DelayedWorker(lambda: loop.simulator.time, 0.05)
-    loop.controller = Controller(settings, ROBOT, worker=worker)
-    loop.controller.floor = closed
-    loop.controller.set_goal(pose(4.5, 1.0))
+    loop = rolling(
+        closed, pose(1.0, 3.0), pose(4.5, 1.0), settings=RATE_50, search_time=0.05
+    )
     loop.run(1.1)
     assert "no way" in loop.given_up
     # Once a sample period, and not at each tick.
-    searches = [task for task in worker.tasks if isinstance(task, SearchTask)]
-    assert 3 <= len(searches) <= 2 + 1.1 / settings.period
+    searches = [task for task in loop.worker.tasks if isinstance(task, SearchTask)]
+    assert 3 <= len(searches) <= 2 + 1.1 / RATE_50.period
     loop.controller.set_goal(pose(2.0, 1.0))
     loop.run(0.3)
     assert not loop.given_up
-    assert not (loop.places[-1] == loop.places[0]).all()
+    assert loop.has_moved
 
 
 @pytest.mark.parametrize("walls", [[], DOORWAY])
@@ -290,12 +254,8 @@ def test_a_goal_is_reached_while_the_floor_is_replaced_ten_times_a_second(
     walls: list[tuple[float, float, float, float]]
 ) -> None:
     """An area moves far from the way, and a search takes longer than its floor is in force."""
-    settings = ControllerSettings(planning_effort=20_000, control_rate=50.0)
     goal = pose(4.5, 1.0, SIDEWAYS)
-    loop = Loop(None, pose(1.0, 3.0), goal, settings)
-    worker = DelayedWorker(lambda: loop.simulator.time, 0.25)
-    loop.controller = Controller(settings, ROBOT, worker=worker)
-    loop.controller.set_goal(goal)
+    loop = rolling(None, pose(1.0, 3.0), goal, settings=RATE_50, search_time=0.25)
     floors = []
     gc.disable()
     try:
@@ -303,7 +263,7 @@ def test_a_goal_is_reached_while_the_floor_is_replaced_ten_times_a_second(
             away = 0.05 * (k % 10)
             loop.controller.floor = floor_of([*walls, (5.0 + away, 3.5, 5.4 + away, 3.9)])
             floors.append(weakref.ref(loop.controller.floor))
-            worker.tasks.clear()
+            loop.worker.tasks.clear()
             loop.run(0.1)
             assert "no way" not in loop.given_up
         # In force, of a search under way, and of the last result; no garbage that keeps others.
@@ -315,11 +275,7 @@ def test_a_goal_is_reached_while_the_floor_is_replaced_ten_times_a_second(
 
 
 def test_no_way_is_told_while_the_floor_is_replaced_and_searched_for_at_once_on_the_next() -> None:
-    settings = ControllerSettings(planning_effort=20_000, control_rate=50.0)
-    loop = Loop(None, pose(1.0, 3.0), pose(4.5, 1.0), settings)
-    worker = DelayedWorker(lambda: loop.simulator.time, 0.15)
-    loop.controller = Controller(settings, ROBOT, worker=worker)
-    loop.controller.set_goal(pose(4.5, 1.0))
+    loop = rolling(None, pose(1.0, 3.0), pose(4.5, 1.0), settings=RATE_50, search_time=0.15)
     told = []
     for k in range(20):
         closed = [(3.0, 0.0, 3.1, 4.0), (5.0 + 0.05 * (k % 10), 3.5, 5.6, 3.9)]
@@ -333,18 +289,18 @@ def test_no_way_is_told_while_the_floor_is_replaced_and_searched_for_at_once_on_
     # What is under way ends, and the next search finds a motion.
     loop.run(0.5)
     assert not loop.given_up
-    assert not (loop.places[-1] == loop.places[0]).all()
+    assert loop.has_moved
 
 
 def test_a_refused_goal_while_rolling_stops_on_the_path() -> None:
     floor = floor_of(DOORWAY)
-    loop = Loop(floor, pose(1.0, 3.0), pose(4.5, 1.0))
+    loop = rolling(floor, pose(1.0, 3.0), pose(4.5, 1.0))
     loop.run(2.0)
     moving = len(loop.states)
     loop.controller.set_goal(pose(3.05, 0.5))
     loop.run(2.0)
     assert "occupied" in loop.given_up
-    rest = loop.places[moving + 750 :]
+    rest = loop.places[moving + 150 :]
     assert (rest == rest[-1]).all()
     assert clearance(floor, loop.places) >= floor.clearance
     loop.controller.set_goal(pose(1.0, 3.0))
@@ -355,7 +311,7 @@ def test_a_refused_goal_while_rolling_stops_on_the_path() -> None:
 def test_it_stops_before_a_new_obstacle_and_goes_around() -> None:
     free = floor_of([])
     goal = pose(5.0, 2.0)
-    loop = Loop(free, pose(1.0, 2.0), goal)
+    loop = rolling(free, pose(1.0, 2.0), goal)
     loop.run(2.0)
     ahead = math.ceil(20.0 * (loop.places[-1, 0] + RADIUS + 0.4)) / 20.0
     blocked = floor_of([(ahead, 1.5, ahead + 0.1, 2.5)])
@@ -367,7 +323,7 @@ def test_it_stops_before_a_new_obstacle_and_goes_around() -> None:
 
 
 def test_a_stop_that_comes_too_late_is_told_with_both_distances() -> None:
-    loop = Loop(floor_of([]), pose(1.0, 2.0), pose(5.0, 2.0))
+    loop = rolling(floor_of([]), pose(1.0, 2.0), pose(5.0, 2.0))
     loop.run(2.0)
     ahead = math.ceil(20.0 * (loop.places[-1, 0] + RADIUS)) / 20.0 + 0.05
     loop.controller.floor = floor_of([(ahead, 1.0, ahead + 0.1, 3.0)])
@@ -379,7 +335,7 @@ def test_a_stop_that_comes_too_late_is_told_with_both_distances() -> None:
 def test_a_start_without_clearance_leaves_without_coming_nearer() -> None:
     floor = floor_of(DOORWAY)
     goal = pose(1.0, 1.0)
-    loop = Loop(floor, pose(RADIUS + 0.005, 3.0), goal)
+    loop = rolling(floor, pose(RADIUS + 0.005, 3.0), goal)
     loop.run(12.0)
     assert state_error(loop.states[-1], goal) < 1e-2
     distances = np.array([floor.distance(place) for place in loop.places])
@@ -395,11 +351,11 @@ def test_a_start_without_clearance_leaves_without_coming_nearer() -> None:
 
 def test_a_plan_tells_its_clearance() -> None:
     floor = floor_of(DOORWAY)
-    loop = Loop(floor, pose(1.0, 3.0), pose(4.5, 1.0))
+    loop = rolling(floor, pose(1.0, 3.0), pose(4.5, 1.0))
     loop.run(SETTINGS.control_period)
     plan = loop.decision.plan
     assert floor.clearance <= plan.clearance < 1.0
-    free = Loop(None, pose(1.0, 3.0), pose(4.5, 1.0))
+    free = rolling(None, pose(1.0, 3.0), pose(4.5, 1.0))
     free.run(SETTINGS.control_period)
     assert not math.isfinite(free.decision.plan.clearance)
 
@@ -408,7 +364,7 @@ def test_a_plan_tells_its_clearance() -> None:
 def test_strategies_that_know_no_floor_stop_before_it(strategy: str) -> None:
     floor = floor_of([(3.0, 0.0, 3.1, 4.0)])
     settings = ControllerSettings(strategy=strategy)
-    loop = Loop(floor, pose(2.0, 2.0), pose(4.0, 2.0), settings)
+    loop = rolling(floor, pose(2.0, 2.0), pose(4.0, 2.0), settings=settings)
     loop.run(6.0)
     assert strategy in loop.given_up
     assert clearance(floor, loop.places) >= 0.0
@@ -422,7 +378,7 @@ def test_a_floor_far_away_changes_no_refusal_and_no_floor_changes_nothing() -> N
     """Two loops, one of which is given a floor and loses it again before it has a goal."""
     found = []
     for floor in (None, floor_of([])):
-        loop = Loop(floor, pose(1.0, 1.0), pose(1.0, 1.0))
+        loop = rolling(floor, pose(1.0, 1.0), pose(1.0, 1.0))
         loop.controller.cancel()
         loop.run(0.5)
         loop.controller.floor = None

@@ -40,9 +40,10 @@ class GuardedNode(Node):
     """Node whose callbacks never raise: an error is one line in the log, at most one in 5 s.
 
     rclpy passes errors of a callback, and of reading a message for it, on to whoever serves the
-    executor; its events executor also logs each with its traceback. So they are caught where rclpy
-    is given the callback, which includes those of rclpy itself, for the clock and for parameters.
-    Messages are read here too, as rclpy would read them outside the callback.
+    executor, which is too late: by then its events executor has logged them as fatal, with their
+    traceback, and has left out the messages that had arrived behind. So they are caught where
+    rclpy is given the callback, which includes those of rclpy itself, for the clock and for
+    parameters. Messages are read here too, as rclpy would read them outside the callback.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -73,19 +74,18 @@ class GuardedNode(Node):
         """
 
         @wraps(callback)
-        def read(message: bytes, *about: Any) -> Any:
-            if largest is not None and len(message) > largest[0]:
-                raise InvalidInputError(topic, f"{len(message)} bytes", f"at most {largest[1]}")
-            if raw:
-                return callback(message, *about)
-            if msg_type is Clock:
-                clock_stamp(message)  # rclpy would raise an error of its own before 0
-            return callback(message_object(message, msg_type), *about)
+        def take(message: bytes, *about: Any) -> None:
+            try:
+                if largest is not None and len(message) > largest[0]:
+                    size = f"{len(message)} bytes"
+                    raise InvalidInputError(topic, size, f"at most {largest[1]}")
+                if msg_type is Clock and not raw:
+                    clock_stamp(message)  # rclpy would raise an error of its own before 0
+                callback(message if raw else message_object(message, msg_type), *about)
+            except Exception as error:
+                self.report(f"{topic} refused", error)
 
-        taken = self.guarded(f"{topic} refused", read)
-        return super().create_subscription(
-            msg_type, topic, taken, qos_profile, raw=True, **options
-        )
+        return super().create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[..., Any], *more: Any, **options: Any

@@ -16,9 +16,11 @@ from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_nmpc.ros.parameters import Parameters
+from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry
 from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 
 CLASSES = {
     "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
@@ -132,3 +134,17 @@ def test_unknown_names_are_logged_in_one_warning_and_a_wrong_value_is_named(
     lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
     assert len(lines) == 1 and "'robot.mass, sed'" in lines[0]
     assert not node.has_parameter("sed")
+
+
+@pytest.mark.parametrize(
+    ("settings", "values", "words"),
+    [
+        (SimulatorNodeSettings, {"real_time_factor": -1.0}, "expected 0 to 1000"),
+        (SimulatorNodeSettings, {"clock": "system", "real_time_factor": 2.0}, "expected 1.0 with"),
+        (SimulatorNodeSettings, {"initial_state": (1.0, 2.0)}, "expected 6 numbers"),
+        (FrameSettings, {"world_frame": "/map"}, "expected a name that begins without /"),
+    ],
+)
+def test_settings_of_a_node_that_cannot_be_used_are_refused(settings, values, words) -> None:
+    with pytest.raises(InvalidParameterError, match=words):
+        settings(**values)

@@ -234,10 +234,10 @@ class ControllerNode(RunnableNode):
 
         `now` is control time [s], None where it is not known. Return whether a plan was made.
         """
-        starts = now is not None and self._schedule.may_start and self.controller.awaits_start(now)
-        if starts:
-            self._restart(now)
-        return starts
+        if now is None or not self._schedule.may_start or not self.controller.awaits_start(now):
+            return False
+        self._restart(now)
+        return True
 
     def _restart(self, now: float) -> None:
         """Plan immediately, which begins a new grid of sampling instants."""

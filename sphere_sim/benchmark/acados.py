@@ -59,7 +59,7 @@ _CHILD = (
 _PACKAGES = str(Path(sphere_sim.__file__).parents[1])
 _HARMFUL = ("LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 """Variables by which another Python loads wrong libraries."""
-_SILENT = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+_SILENT: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
 class Acados:

@@ -273,7 +273,7 @@ def second_controller(session: Session) -> Action:
     rival = session.processes.add("rival", session.processes["controller"].command, append=True)
     names = ["-r", "__node:=rival", "-r", "goal_pose:=rival_goal"]
     try:
-        rival.start([*session.arguments("controller"), *names])
+        rival.start(*session.arguments("controller"), *names)
         with session.publisher(PoseStamped, "rival_goal", 1) as publisher:
             if not publisher.get_subscription_count():
                 raise SessionError("the second controller does not start")
@@ -289,10 +289,10 @@ def bad_start(session: Session) -> Action:
     controller.stop()
     try:
         for wrong in _WRONG_AT_START:
-            before = controller.log.stat().st_size
-            controller.start([*session.arguments("controller"), "-p", wrong])
+            before = len(controller.output)
+            controller.start(*session.arguments("controller"), "-p", wrong)
             session.wait(lambda: controller.code is not None, f"the end with {wrong}")
-            output = controller.log.read_bytes()[before:].decode(errors="replace")
+            output = controller.output[before:]
             name = wrong.partition(":")[0]
             if controller.code != InvalidParameterError.exit_code or name not in output:
                 raise SessionError(f"{controller.ending} with {wrong}, output: {output.strip()}")

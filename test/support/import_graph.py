@@ -36,9 +36,9 @@ FLOORS = {
         ("strategy", "estimation"),
         ("floor",),
         ("solver", "settings"),
-        ("model",),
-        ("quantity", "fault_log", "worker", "foreign_file"),
-        ("child", "errors", "library_threads", "conditions"),
+        ("model", "worker"),
+        ("quantity", "fault_log", "child", "foreign_file"),
+        ("errors", "library_threads", "conditions"),
         ("foreign_text", "channel", "own_folder"),
     ),
 }

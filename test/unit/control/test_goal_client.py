@@ -468,6 +468,38 @@ def test_abandoned_goal_ends_and_is_dropped(world) -> None:
     assert world.client.update(world.now) == Due()
 
 
+def test_goal_that_is_left_to_the_controller_is_over_once_it_is_shown(world) -> None:
+    world.begin(A, until_taken=True)
+    world._under_way = None
+    world.step(1.0)
+    assert not world.ended, "it was lost"
+    world.step(0.5)
+    assert world.outcome(A) is Outcome.SUCCEEDED and world.mode is Mode.TRACKING
+    world.mode = Mode.DISABLED
+    world.step(30.0)
+    assert world.in_force == world.stamp(A) and world.cancels == 0, "it is not given up"
+
+
+def test_goal_is_sent_when_there_is_a_controller(world) -> None:
+    world.can_send = False
+    world.begin(A)
+    world.step(2.0)
+    assert not world.sent
+    world.can_send = True
+    world.step(3.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED and len(world.sent) == 1
+
+
+def test_time_in_which_the_process_was_stopped_is_no_silence_of_the_controller(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.now += 100.0
+    world._update()
+    assert not world.ended
+    world.step(2.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED
+
+
 EVENTS = (
     "begin", "begin several", "cancel", "foreign", "kill", "restart", "restart with memory",
     "lose", "drop",

@@ -43,7 +43,7 @@ DEADLINE = 60.0
 """Time to a goal after which it is given up [s]."""
 REACH = 1.5
 """Largest |x| and |y| of a goal [m]."""
-_PATIENCE, _REPEAT = 90.0, 0.5
+_PATIENCE = 90.0
 """How long nodes may take to find each other or to confirm a goal; when it is sent again [s]."""
 _DOMAIN, _SERVER_PORT = "65", "11811"
 _MOTION = 1e-3
@@ -210,7 +210,7 @@ class _Goals:
     def run(self) -> dict[str, object]:
         self._goals.prepare(_PATIENCE)
         took = [
-            self._goals.go(self._goal(), DEADLINE, _PATIENCE, _REPEAT)
+            self._goals.go(self._goal(), DEADLINE, _PATIENCE)
             for _ in range(self._number)
         ]
         reached = [time for time in took if time is not None]
@@ -231,7 +231,7 @@ class _Goals:
         try:
             self._goals.prepare(_PATIENCE)
             times["found_s"] = round(time.monotonic() - began, 2)
-            run = self._goals.send(self._goal(), _PATIENCE, _REPEAT)
+            run = self._goals.send(self._goal(), _PATIENCE)
             at_first: list[float] = []
 
             def moves() -> bool:

@@ -17,7 +17,14 @@ from sphere_nmpc.errors import InvalidParameterError
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second."""
+LARGEST = 1e30
+"""Largest magnitude of a number that is believed [SI units]: its square is one, too."""
 _KEY = "quantity"
+
+
+def known(number: float) -> float:
+    """Return a number of a message; nan, as for an unknown one, where it is beyond `LARGEST`."""
+    return float(number) if abs(number) <= LARGEST else float("nan")
 
 
 def stamp_text(stamp: int) -> str:

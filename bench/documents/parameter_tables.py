@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.control.navigation import NavigatorSettings
+from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.quantity import known
 
 _PURSUED = {mode.value for mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL)}
 """Modes in which nothing keeps the controller from its goal."""
@@ -28,44 +29,57 @@ class GoalReport:
     ----------
     stamp : str
         Stamp of the message that brought the goals in force; empty without any.
-    index : int
-        Which of them is aimed at, from 0 on.
+    index, count : int
+        Which of them is aimed at, from 0 on, and their number; 0 where it is not known.
     mode : str
         Value of the `Kind` that is the controller's mode.
     at_rest : bool
         Whether no rotor moves any more.
     plans : int
         Number of new plans since the controller was started.
+    time : float
+        Control time [s].
     time_left, distance_left : float
-        Time [s] and path [m] to the last of the goals; nan where they are not known.
+        Time [s] and path [m] to the goal aimed at; nan where they are not known.
+    total_time_left, total_distance_left : float
+        The same to the last of the goals.
     unreachable : str
         Value of the `Kind` of unreachable goals, empty where the goal may be reached.
     obstacle : str
         What keeps the sphere from its goal; empty where that is said by the mode.
     """
 
-    stamp: str
-    index: int
-    mode: str
+    stamp: str = ""
+    index: int = 0
+    count: int = 0
+    mode: str = ""
     at_rest: bool = False
     plans: int = 0
+    time: float = math.nan
     time_left: float = math.nan
     distance_left: float = math.nan
+    total_time_left: float = math.nan
+    total_distance_left: float = math.nan
     unreachable: str = ""
     obstacle: str = ""
 
     @classmethod
     def of(cls, values: Mapping[str, str]) -> "GoalReport":
-        """Return the report of a status with these values.
+        """Return the report of a status with these values; the only place that knows their keys.
 
         Before its first sampling instant a controller tells nothing of plans and commands.
+        `InvalidInputError` is raised for values that are no status of a controller.
         """
+
+        def number(key: str, missing: float = math.nan) -> float:
+            return known(float(values.get(key, missing)))
+
         try:
             return cls(
-                values["goal_stamp"], int(values["goal_index"]), values["mode"],
-                values.get("at_rest") == "true", int(values.get("plans", 0)),
-                float(values.get("total_time_left_s", math.nan)),
-                float(values.get("total_distance_left_m", math.nan)),
+                values["goal_stamp"], int(number("goal_index")), int(number("goal_count", 0)),
+                values["mode"], values.get("at_rest") == "true", int(number("plans", 0)),
+                number("time_s"), number("time_left_s"), number("distance_left_m"),
+                number("total_time_left_s"), number("total_distance_left_m"),
                 values.get("unreachable", ""),
                 values.get("no_progress") or values.get("giving_up", ""),
             )
@@ -73,6 +87,11 @@ class GoalReport:
             raise InvalidInputError(
                 "values of controller/status", str(error), ", ".join(_KEYS)
             ) from None
+
+    @property
+    def is_at_goal(self) -> bool:
+        """Whether the sphere is at the last of the goals."""
+        return self.mode == Kind.AT_GOAL.value
 
     @property
     def cause(self) -> str:

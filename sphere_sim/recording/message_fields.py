@@ -12,11 +12,8 @@ from sphere_nmpc.model.disturbance import Disturbance, imbalance_of_offset, slop
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import known
 
-LARGEST = 1e30
-"""Largest magnitude of a number that is believed [SI units]: its square is one, too."""
-_MOST_GOALS = 1e6
-"""Largest number of goals that is believed."""
 CLEARANCE = "clearance_m"
 """Key of the least distance between the sphere on its planned path and what is occupied [m]."""
 POSE_TOPIC = "pose_topic"
@@ -25,11 +22,6 @@ CONTACTS = ": commands", "wall touched"
 """End of the name of a simulator's status in diagnostics, and key of its contacts so far."""
 HOLDING = "holding"
 """Status of a plan that has reached the goal and holds the sphere there."""
-
-
-def known(number: float) -> float:
-    """Return a number of a message; nan, as for an unknown one, where it is beyond `LARGEST`."""
-    return float(number) if abs(number) <= LARGEST else float("nan")
 
 
 @dataclass(frozen=True)
@@ -52,33 +44,6 @@ def reported_solve(values: Mapping[str, str]) -> ReportedSolve:
     return ReportedSolve(
         number(values, "solve_time_s"), number(values, "cost"),
         number(values, "arrival_s") - number(values, "time_s"), values.get("plan", ""),
-    )
-
-
-@dataclass(frozen=True)
-class ReportedProgress:
-    """Progress of the sphere through its goals as a status message reports it.
-
-    It has the stamp of the message that brought the goals, as text and empty without a goal; the
-    goal aimed at, from 0 on, and the number of goals; the time [s] and the length of the path [m]
-    to that one, nan where they are unknown.
-    """
-
-    stamp: str = ""
-    index: int = 0
-    count: int = 0
-    time_left: float = math.nan
-    distance_left: float = math.nan
-
-
-def reported_progress(values: Mapping[str, str]) -> ReportedProgress:
-    """Return the progress that the key-value pairs of a status message report."""
-    index, count = (number(values, f"goal_{name}") for name in ("index", "count"))
-    known_goal = 0.0 <= index < count <= _MOST_GOALS
-    return ReportedProgress(
-        values.get("goal_stamp", ""),
-        int(index) if known_goal else 0, int(count) if known_goal else 0,
-        number(values, "time_left_s"), number(values, "distance_left_m"),
     )
 
 

@@ -19,7 +19,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, are_states
-from sphere_nmpc.quantity import NANOSECONDS, stamp_text
+from sphere_nmpc.quantity import LARGEST, NANOSECONDS, known, stamp_text
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_sim.output.files import printable
@@ -28,8 +28,6 @@ from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     CONTACTS,
-    LARGEST,
-    known,
     number,
     reported_disturbance,
     reported_momentum,

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.control.goal_report import GoalReport
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_sim.recording.message_fields import (
@@ -17,7 +19,6 @@ from sphere_sim.recording.message_fields import (
     number,
     reported_momentum,
     reported_orientation,
-    reported_progress,
     reported_solve,
 )
 from sphere_sim.viewer.source import Frame, radius_at
@@ -112,6 +113,10 @@ class LiveFrame:
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Update the values of the newest solve from those of a status message."""
+        try:
+            progress = GoalReport.of(values)
+        except InvalidInputError:  # of a controller of another version
+            progress = GoalReport()
         given_up, missing = values.get("giving_up", ""), values.get("no_progress", "")
         # The reason for which there is no progress may be what is given up.
         given_up = "" if given_up in missing else f"the strategy gives up {given_up}"
@@ -130,7 +135,7 @@ class LiveFrame:
             cost=solve.cost if np.isnan(to_go) else float("nan"),
             to_go=to_go,
             solve_time=solve.duration if solve.duration > 0.0 else float("nan"),
-            progress=reported_progress(values),
+            progress=progress,
             clearance=number(values, CLEARANCE),
             momentum=reported_momentum(values),
             strategy=values.get("strategy", ""),

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.foreign_text import cut
@@ -15,7 +16,6 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
 from sphere_sim.evaluation.metrics import errors_to
-from sphere_sim.recording.message_fields import ReportedProgress
 
 _DEFAULT = RobotParameters()
 DEFAULT_RADIUS = _DEFAULT.shell_radius
@@ -73,7 +73,7 @@ class Frame:
     solve_time, to_go, cost : float
         Duration of the newest solve, and time until its plan reaches the goal [s]; value of the
         optimal control problem, unless that is a time.
-    progress : ReportedProgress
+    progress : GoalReport
         Progress through the goals.
     momentum : ndarray, shape (3,)
         Momentum about the contact point that the controller estimates [N m s; world frame].
@@ -98,7 +98,7 @@ class Frame:
     solve_time: float = float("nan")
     cost: float = float("nan")
     to_go: float = float("nan")
-    progress: ReportedProgress = field(default_factory=ReportedProgress)
+    progress: GoalReport = field(default_factory=GoalReport)
     momentum: Vector = field(default_factory=lambda: _unknown(3))
     strategy: str = ""
     mode: str = ""

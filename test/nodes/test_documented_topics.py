@@ -22,10 +22,11 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_sim.ros.recorder.node import RecorderNode
-from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 
@@ -136,8 +137,7 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     navigation_messages.provide()
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode()]
     goal = rclpy.create_node("goal")
-    for kind in (PoseStamped, PointStamped, Goals):
-        GoalSender(goal, lambda: None, kind)
+    GoalLink(goal, (PoseStamped, PointStamped, Goals), NavigatorSettings(), lambda ending: None)
     graph._executor.add_node(goal)
     for node in followers:
         node.set_parameters([simulated])

@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
-from sphere_nmpc.control.navigation import Outcome
+from sphere_nmpc.control.goal_client import Outcome
 from sphere_nmpc.ros.guarded_node import GuardedNode
 
 

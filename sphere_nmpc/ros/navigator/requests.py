@@ -8,8 +8,8 @@ from typing import Any
 from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Goals
 
+from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
-from sphere_nmpc.control.navigation import Ending, Missed, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import framed_poses_from_ros
@@ -119,12 +119,12 @@ def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Goals]) -> 
 
 
 def feedback_of(
-    kind: Any, report: GoalReport, since: float, count: int, waypoint: int, pose: Any
+    kind: Any, report: GoalReport, since: float, waypoint: int, pose: Any
 ) -> Any:
     """Return the feedback of an action.
 
-    `since` is the time since the goal was accepted [s], `count` the number of its poses,
-    `waypoint` the index of the one of `follow_waypoints`, `pose` the newest one of the sphere.
+    `since` is the time since the goal was accepted [s], `waypoint` the index of the one of
+    `follow_waypoints`, `pose` the newest one of the sphere.
     """
     feedback = kind.Feedback()
     if hasattr(feedback, "current_waypoint"):
@@ -132,10 +132,10 @@ def feedback_of(
         return feedback
     feedback.current_pose = pose
     feedback.navigation_time = _duration(since)
-    feedback.estimated_time_remaining = _duration(report.time_left)
-    feedback.distance_remaining = report.distance_left
+    feedback.estimated_time_remaining = _duration(report.total_time_left)
+    feedback.distance_remaining = report.total_distance_left
     if hasattr(feedback, "number_of_poses_remaining"):
-        feedback.number_of_poses_remaining = min(max(0, count - report.index), _LARGEST)
+        feedback.number_of_poses_remaining = min(max(0, report.count - report.index), _LARGEST)
     return feedback
 
 

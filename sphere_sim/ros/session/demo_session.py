@@ -20,8 +20,8 @@ from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.recording.message_fields import number
-from sphere_sim.ros.session.controller_status import ControllerStatus
 from sphere_sim.ros.session.goal_run import GoalRunner
+from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
 from sphere_sim.ros.session.serving import serve_until
 
@@ -77,9 +77,9 @@ class DemoSession:
         return number(self.status.values, "solve_time_s")
 
     @property
-    def status(self) -> ControllerStatus:
+    def status(self) -> GoalSender:
         """Newest status of the controller."""
-        return self._runner.sender.status
+        return self._runner.sender
 
     def prepare(self, goal: Vector, tolerance: float, hold: float, timeout: float) -> GoalRun:
         """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.

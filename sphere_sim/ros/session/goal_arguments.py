@@ -12,9 +12,9 @@ import numpy as np
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
+from sphere_nmpc.ros.goal_link import GoalMessage
 from sphere_sim.output.arguments import finite, not_negative
 from sphere_sim.ros.session.goal_messages import (
-    GoalMessage,
     goals_message,
     point_message,
     pose_message,

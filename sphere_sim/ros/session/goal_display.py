@@ -9,11 +9,9 @@ from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.foreign_text import printable_line
 from sphere_sim.output.live_display import LiveDisplay
-from sphere_sim.recording.message_fields import ReportedProgress
-from sphere_sim.ros.session.controller_status import ControllerStatus
 
 _WIDTH = 18
 """Width of the bar [characters]."""
@@ -22,33 +20,33 @@ _WIDTH = 18
 class GoalDisplay(LiveDisplay):
     """Display of the progress that the controller reports, on standard error."""
 
-    def __init__(self, status: ControllerStatus) -> None:
+    def __init__(self) -> None:
         super().__init__(Console(stderr=True))
-        self._status = status
+        self._report = GoalReport()
         self._way = Way()
 
-    def update(self) -> None:
-        """Show the newest status, unless it is about no goal."""
-        if self._status.progress.count:
-            self._way.add(self._status.progress)
-            last = self._status.mode == Kind.AT_GOAL.value
-            self.show(self._picture, self._line, last)
+    def update(self, report: GoalReport) -> None:
+        """Show a report, unless it is about no goal."""
+        if report.count:
+            self._report = report
+            self._way.add(report)
+            self.show(self._picture, self._line, report.is_at_goal)
 
     def _picture(self) -> Table:
-        left, picture = _left(self._status.progress), Table.grid(padding=(0, 2))
+        left, picture = _left(self._report), Table.grid(padding=(0, 2))
         for width in (_WIDTH, len(left), None):  # a narrow terminal cuts the last one
             picture.add_column(no_wrap=True, overflow="ellipsis", min_width=width)
-        done = 1.0 if self._status.mode == Kind.AT_GOAL.value else self._way.share
+        done = 1.0 if self._report.is_at_goal else self._way.share
         bar = ProgressBar(total=1.0, completed=done, width=_WIDTH)
         picture.add_row(bar, left, escape(self._mode))
         return picture
 
     def _line(self) -> str:
-        return f"{_left(self._status.progress)}, {self._mode}"
+        return f"{_left(self._report)}, {self._mode}"
 
     @property
     def _mode(self) -> str:
-        return printable_line(self._status.mode)
+        return printable_line(self._report.mode)
 
 
 class Way:
@@ -60,7 +58,7 @@ class Way:
         self.share = 0.0
         """Share of the way that is behind, 0 to 1."""
 
-    def add(self, progress: ReportedProgress) -> None:
+    def add(self, progress: GoalReport) -> None:
         """Update the share by a report."""
         if progress.index != self._index:
             self._index, self._longest = progress.index, 0.0
@@ -72,7 +70,7 @@ class Way:
         self.share = (progress.index + 1.0 - left) / max(1, progress.count)
 
 
-def _left(progress: ReportedProgress) -> str:
+def _left(progress: GoalReport) -> str:
     """Return the length of the path and the time that are left, in a text of constant length."""
     which = f"goal {progress.index + 1} of {progress.count}: " if progress.count > 1 else ""
     path, time = progress.distance_left, progress.time_left

@@ -6,7 +6,6 @@ They have no frame, which means that of the controller, and a stamp of 0, which 
 """
 
 from collections.abc import Sequence
-from typing import TypeAlias
 
 from geometry_msgs.msg import Point, PointStamped, PoseStamped
 from nav_msgs.msg import Goals
@@ -15,7 +14,6 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.messages import pose_to_ros
 
-GoalMessage: TypeAlias = PoseStamped | PointStamped | Goals
 _HEIGHT = RobotParameters().shell_radius
 """Height of the goals [m], which controllers ignore."""
 

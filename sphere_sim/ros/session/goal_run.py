@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_nmpc.errors import InvalidStateError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import seconds
@@ -22,6 +23,8 @@ from sphere_sim.ros.session.serving import serve_until
 
 STALL_TIMEOUT = 30.0
 """Wall time without progress of control time after which a run is given up [s]."""
+_PATIENT = NavigatorSettings(controller_timeout=3600.0)
+"""Patience of who sends a goal: the caller says how long."""
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -58,7 +61,7 @@ class GoalRunner:
 
     def __init__(self, node: Node, spin: Callable[[], object]) -> None:
         self._spin = spin
-        self.sender = GoalSender(node, spin)
+        self.sender = GoalSender(node, spin, _PATIENT)
         self.time = math.nan
         """Control time of the newest pose [s]."""
         self.run: GoalRun | None = None
@@ -77,24 +80,21 @@ class GoalRunner:
             raise GoalNotAcceptedError(f"no pose was published within {timeout:g} s")
 
     def send(
-        self, goal: Vector, timeout: float, repeat: float = math.inf,
-        tolerance: float = SETTLED_ERROR, hold: float = 1.0,
+        self, goal: Vector, timeout: float, tolerance: float = SETTLED_ERROR, hold: float = 1.0
     ) -> GoalRun:
         """Bring a goal into force, see `GoalSender.send`, and begin a run to it, see `GoalRun`."""
-        self.sender.send(pose_message(goal), timeout, repeat)
+        self.sender.send(pose_message(goal), timeout)
         self.run = GoalRun(goal, tolerance, hold)
         return self.run
 
-    def go(
-        self, goal: Vector, timeout: float, send_timeout: float, repeat: float = math.inf
-    ) -> float | None:
+    def go(self, goal: Vector, timeout: float, send_timeout: float) -> float | None:
         """Send a goal, shape (6,), and return the control time [s] until the sphere reached it.
 
         It is None where the goal is given up, after `timeout` [s, control time]; the other times
         and the errors are those of `GoalSender.send` and `wait_until_settled`.
         """
         sent = self.time
-        run = self.send(goal, send_timeout, repeat)
+        run = self.send(goal, send_timeout)
         settled = wait_until_settled(run, self._spin, sent + timeout)
         return None if settled is None else settled - sent
 

@@ -18,16 +18,17 @@ from typing import Any
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3
 from rclpy.executors import Executor
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.control.goal_client import Ending, NavigatorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.cdr import WORLD_FRAME
+from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
 from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.recording.run import setup_text
-from sphere_sim.ros.session.goal_messages import GoalMessage, point_message, pose_message
+from sphere_sim.ros.session.goal_messages import point_message, pose_message
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
@@ -62,8 +63,6 @@ class TopicSource:
     def __init__(self, node: Node, frame: str = WORLD_FRAME) -> None:
         self.subscriptions = RobotSubscriptions(node, frame)
         """Subscriptions to the robot's topics."""
-        self._goals = node.create_publisher(PoseStamped, "goal_pose", 1)
-        self._points = node.create_publisher(PointStamped, "goal_point", 1)
         self._enable = node.create_client(SetBool, "controller/enable")
         self._cancel = node.create_client(Trigger, "controller/cancel")
         self._pause = node.create_client(SetBool, "simulator/pause")
@@ -71,6 +70,9 @@ class TopicSource:
         self._pushes = node.create_publisher(Vector3, "simulator/push", 10)
         self._notices: list[str] = []
         notify = self._notices.append
+        self._link = GoalLink(
+            node, (PoseStamped, PointStamped), NavigatorSettings(), self._take_ending
+        )
         self._speed = RemoteParameter(
             node, "simulator", "real_time_factor", SimulatorNodeSettings, notify, ["plant"]
         )
@@ -81,6 +83,7 @@ class TopicSource:
 
     def frames(self) -> Sequence[Frame]:
         """Return the newest frame."""
+        self._link.update()
         self._speed.refresh()
         self._strategy.refresh()
         frame, robot = self.subscriptions.newest(), self._robot()
@@ -100,12 +103,13 @@ class TopicSource:
     def handle(self, request: Request) -> str:
         """Publish the goal or push, call the service or set the parameter of a request."""
         if isinstance(request, SetGoal):
-            return self._send(self._goals, pose_message(request.goal))
+            return self._send(pose_message(request.goal))
         if isinstance(request, SetPoint):
-            return self._send(self._points, point_message(request.position))
+            return self._send(point_message(request.position))
         if isinstance(request, Enable):
             return self._call(self._enable, SetBool.Request(data=request.enabled))
         if isinstance(request, Cancel):
+            self._link.client.abandon("")  # not sent again after that
             return self._call(self._cancel, Trigger.Request())
         if isinstance(request, Pause):
             return self._call(self._pause, SetBool.Request(data=request.paused))
@@ -120,11 +124,16 @@ class TopicSource:
             self._strategy.set(request.name)
         return ""
 
-    def _send(self, publisher: Publisher, message: GoalMessage) -> str:
+    def _send(self, message: GoalMessage) -> str:
+        publisher = self._link.publishers[type(message)]
         if publisher.get_subscription_count() == 0:
             return f"{publisher.topic_name} has no subscriber: is a controller running?"
-        publisher.publish(message)
+        self._link.begin("", [message], until_taken=True)
         return ""
+
+    def _take_ending(self, ending: Ending) -> None:
+        if ending.reason.endswith("its log says more"):
+            self._notices.append(ending.reason)
 
     def _call(self, client: Any, request: Any) -> str:
         if not client.service_is_ready():

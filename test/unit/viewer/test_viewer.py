@@ -13,10 +13,10 @@ pytest.importorskip("viser")
 from pages import Script
 from robots import GIANT, PALM
 
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import make_state, state_error
-from sphere_sim.recording.message_fields import ReportedProgress
 from sphere_sim.viewer.goal import GOAL_PRESETS
 from sphere_sim.viewer.plots import History
 from sphere_sim.viewer.scene import on_floor
@@ -139,7 +139,7 @@ def test_ray_of_a_click_meets_the_floor_or_nothing(origin, direction, place) -> 
 
 
 def test_what_is_left_of_the_way_is_shown(viewer, script) -> None:
-    progress = ReportedProgress("1.0", 1, 3, 4.25, 2.5)
+    progress = GoalReport("1.0", 1, 3, time_left=4.25, distance_left=2.5)
     script.next = [at(1.0, 2.0, progress=progress)]
     viewer.tick()
     shown = viewer._panel._numbers.content

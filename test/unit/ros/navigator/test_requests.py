@@ -12,8 +12,8 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Goals
 
 from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
-from sphere_nmpc.control.navigation import Ending, Missed, Outcome
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_nmpc.ros.navigator.requests import (
@@ -97,9 +97,9 @@ def test_waypoints_are_sent_one_after_the_other() -> None:
 
 
 def test_feedback_has_what_is_left_of_all(kinds) -> None:
-    report = GoalReport("", 2, "", time_left=1.25, distance_left=2.5)
+    report = GoalReport("", 2, 3, total_time_left=1.25, total_distance_left=2.5)
     kind = kinds["navigate_through_poses"]
-    feedback = feedback_of(kind, report, 3.5, 3, 0, stamped(POSES[1]))
+    feedback = feedback_of(kind, report, 3.5, 0, stamped(POSES[1]))
     assert feedback.number_of_poses_remaining == 1
     assert feedback.number_of_recoveries == 0
     assert feedback.distance_remaining == 2.5
@@ -107,12 +107,12 @@ def test_feedback_has_what_is_left_of_all(kinds) -> None:
     left = feedback.estimated_time_remaining
     assert (left.sec, left.nanosec) == (1, 250_000_000)
     assert pose_from_ros(feedback.current_pose).tolist() == POSES[1]
-    assert feedback_of(kinds["follow_waypoints"], report, 0.0, 1, 4, None).current_waypoint == 4
+    assert feedback_of(kinds["follow_waypoints"], report, 0.0, 4, None).current_waypoint == 4
 
 
 def test_what_is_not_known_is_not_told_to_be_nothing(kinds) -> None:
     kind = kinds["navigate_to_pose"]
-    feedback = feedback_of(kind, GoalReport("", 0, ""), -1.0, 1, 0, stamped(POSES[1]))
+    feedback = feedback_of(kind, GoalReport(), -1.0, 0, stamped(POSES[1]))
     assert math.isnan(feedback.distance_remaining)
     assert feedback.estimated_time_remaining.sec == 2**31 - 1
     assert feedback.navigation_time.sec == 0

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals of actions against a controller that is written out here, and against random events."""
+"""The client of goals against a controller that is written out here, and against random events."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,14 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.goal_client import Due, GoalClient, Missed, NavigatorSettings, Outcome
 from sphere_nmpc.control.goal_report import GoalReport
-from sphere_nmpc.control.navigation import (
-    Missed,
-    Navigation,
-    NavigatorSettings,
-    Outcome,
-    Requests,
-)
+from sphere_nmpc.quantity import stamp_text
 
 SETTINGS = NavigatorSettings(controller_timeout=5.0, no_progress_timeout=20.0)
 STEP = 0.1  # s
@@ -27,9 +22,9 @@ A, B, C = b"A", b"B", b"C"
 
 @dataclass
 class World:
-    """A navigation and the controller it talks to; messages arrive at the next step."""
+    """A client and the controller that it talks to; messages arrive at the next step."""
 
-    navigation: Navigation = field(default_factory=lambda: Navigation(SETTINGS))
+    client: GoalClient = field(init=False)
     now: float = 100.0
     in_force: str = ""
     mode: Kind = Kind.NO_GOAL
@@ -42,6 +37,7 @@ class World:
     plans: int = 0
     lives: bool = True
     takes_goals: bool = True
+    can_send: bool = True
     sent: list[str] = field(default_factory=list)
     cancels: int = 0
     ended: dict[bytes, tuple[Outcome, str]] = field(default_factory=dict)
@@ -52,14 +48,20 @@ class World:
     _cancel_under_way: bool = False
     _stamps: dict[bytes, str] = field(default_factory=dict)
 
-    def begin(self, goal: bytes, stages: int = 1, pause: float = 0.0) -> None:
-        def stamps() -> Iterator[str]:
-            for _ in range(stages):
-                self.stamps.append(f"{len(self.stamps) + 1}.000000000")
-                self._stamps[goal] = self.stamps[-1]
-                yield self.stamps[-1]
+    def __post_init__(self) -> None:
+        self.client = GoalClient(SETTINGS, self._stamp)
 
-        self._do(self.navigation.begin(goal, stamps(), self.now, pause))
+    def _stamp(self) -> int:
+        self.stamps.append(f"{len(self.stamps) + 1}.000000000")
+        return len(self.stamps) * 1_000_000_000
+
+    def begin(self, goal: bytes, stages: int = 1, pause: float = 0.0, **options: bool) -> None:
+        def messages() -> Iterator[bytes]:
+            for _ in range(stages):
+                yield goal
+
+        self.client.begin(goal, messages(), pause, **options)
+        self._update()
 
     def stamp(self, goal: bytes) -> str:
         return self._stamps[goal]
@@ -90,14 +92,15 @@ class World:
             self.now += STEP
             if self.lives:
                 self._control()
-            self._do(self.navigation.update(self.now))
+            self._update()
 
     def _control(self) -> None:
         if self._under_way is not None and self.takes_goals:
             self.take(self._under_way)
         if self._cancel_under_way:
             self.drop()
-            self.navigation.cancel_answered(self.now)
+            self.client.cancel_answered()
+            self._update()
         self._under_way, self._cancel_under_way = None, False
         if self.mode in (Kind.TRACKING, Kind.NO_GOAL, Kind.AT_GOAL):
             self.moves = max(0.0, self.moves - STEP)
@@ -105,24 +108,27 @@ class World:
             self.mode = Kind.AT_GOAL
         at_rest = self.moves == 0.0
         stands = self.mode is Kind.NO_PROGRESS
-        self._do(self.navigation.receive(GoalReport(
-            self.in_force, 0, self.mode.value, at_rest, self.plans, self.moves, self.moves,
-            "goal occupied" if stands and self.is_final else "", "it is occupied" if stands else ""
-        ), self.now))
+        self.client.receive(GoalReport(
+            self.in_force, 0, 1, self.mode.value, at_rest, self.plans,
+            unreachable="goal occupied" if stands and self.is_final else "",
+            obstacle="it is occupied" if stands else "", time_left=self.moves,
+        ), self.now)
+        self._update()
 
-    def _do(self, requests: Requests) -> None:
-        for ending in requests.ended:
+    def _update(self) -> None:
+        due = self.client.update(self.now, self.can_send)
+        for ending in due.ended:
             assert ending.goal not in self.ended, "a second end"
             self.ended[ending.goal] = ending.outcome, ending.reason
             self.missed[ending.goal] = ending.missed
-        if requests.cancel:
+        if due.cancel:
             self.cancels += 1
             self._cancel_under_way = True
-            self.navigation.cancel_requested(self.now)
-        if requests.send:
-            self.sent.append(self._under_way or self.stamp(self.navigation.goal))
-            self._under_way = self.stamp(self.navigation.goal)
-            self.navigation.sent(self.now)
+        if due.send:
+            stamp = stamp_text(self.client.stamp)
+            self._stamps[self.client.message] = stamp
+            self.sent.append(stamp)
+            self._under_way = stamp
 
 
 @pytest.fixture
@@ -135,8 +141,8 @@ def world() -> World:
 def test_goal_succeeds_at_the_goal(world) -> None:
     world.begin(A)
     world.step(1.0)
-    assert world.navigation.goal == A
-    assert world.navigation.report.time_left == pytest.approx(1.0)
+    assert world.client.goal == A
+    assert world.client.report.time_left == pytest.approx(1.0)
     world.step(1.5)
     assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
     world.step(20.0)
@@ -147,13 +153,13 @@ def test_goal_succeeds_at_the_goal(world) -> None:
 def test_cancelled_goal_ends_at_rest_and_once_however_often_it_is_cancelled(world) -> None:
     world.begin(A)
     world.step(1.0)
-    assert world.navigation.cancel(A, world.now)
-    assert world.navigation.cancel(A, world.now)
+    assert world.client.cancel(A)
+    assert world.client.cancel(A)
     world.step(0.2)
     assert world.in_force == "" and not world.ended, "it is dropped but still moves"
     world.step(0.5)
     assert world.ended == {A: (Outcome.CANCELED, "at rest")}
-    assert not world.navigation.cancel(A, world.now)
+    assert not world.client.cancel(A)
     assert world.cancels == 1
 
 
@@ -161,7 +167,7 @@ def test_cancelled_goal_ends_at_rest_and_once_however_often_it_is_cancelled(worl
 def test_goal_that_is_cancelled_at_once_does_not_come_into_force_later(world, after) -> None:
     world.begin(A)
     world.step(after)
-    assert world.navigation.cancel(A, world.now)
+    assert world.client.cancel(A)
     world.step(3.0)
     assert world.outcome(A) is Outcome.CANCELED
     assert world.in_force == ""
@@ -170,7 +176,7 @@ def test_goal_that_is_cancelled_at_once_does_not_come_into_force_later(world, af
 def test_goal_that_a_busy_controller_takes_after_it_was_cancelled_is_dropped_first(world) -> None:
     world.begin(A)
     sent, world._under_way = world._under_way, None
-    assert world.navigation.cancel(A, world.now)
+    assert world.client.cancel(A)
     world.step(3.0)
     assert not world.ended, "the sphere may still begin to move"
     world._under_way = sent
@@ -194,8 +200,8 @@ def test_newer_goal_takes_over_without_a_cancel_between(world) -> None:
 def test_goal_after_a_cancel_is_not_dropped_with_the_one_before(world) -> None:
     world.begin(A)
     world.step(1.0)
-    assert world.navigation.cancel(A, world.now)
-    world._do(world.navigation.update(world.now))  # the request is under way
+    assert world.client.cancel(A)
+    world._update()  # the request is under way
     world.begin(B)
     assert world.outcome(A) is Outcome.ABORTED, "the sphere will not be at rest"
     assert len(world.sent) == 1
@@ -306,7 +312,7 @@ def test_goal_cancelled_without_a_controller_ends_once(world, restarts) -> None:
     world.begin(A)
     world.step(1.0)
     world.lives = False
-    assert world.navigation.cancel(A, world.now)
+    assert world.client.cancel(A)
     world.step(2.0)
     assert not world.ended
     if restarts:
@@ -394,9 +400,9 @@ def test_goal_ends_at_once_where_the_controller_is_disabled(world) -> None:
 def test_stages_are_sent_in_order_with_a_pause_at_each(world) -> None:
     world.begin(A, stages=3, pause=1.0)
     world.step(2.5)
-    assert (world.mode, world.navigation.stage) == (Kind.AT_GOAL, 0), "pause"
+    assert (world.mode, world.client.stage) == (Kind.AT_GOAL, 0), "pause"
     world.step(1.0)
-    assert (world.mode, world.navigation.stage) == (Kind.TRACKING, 1)
+    assert (world.mode, world.client.stage) == (Kind.TRACKING, 1)
     world.step(6.0)
     assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
     assert world.sent == world.stamps and len(world.stamps) == 3 and not world.missed[A]
@@ -434,7 +440,7 @@ def test_goal_can_be_cancelled_and_taken_over_during_a_pause(world) -> None:
     world.begin(A, stages=2, pause=5.0)
     world.step(4.0)
     assert world.mode is Kind.AT_GOAL and not world.ended
-    assert world.navigation.cancel(A, world.now)
+    assert world.client.cancel(A)
     world.step(1.0)
     assert world.outcome(A) is Outcome.CANCELED and world.in_force == ""
     world.begin(B, stages=2, pause=5.0)
@@ -453,11 +459,45 @@ def test_goal_can_be_cancelled_and_taken_over_during_a_pause(world) -> None:
 def test_abandoned_goal_ends_and_is_dropped(world) -> None:
     world.begin(A)
     world.step(1.0)
-    world._do(world.navigation.abandon("the navigator has ended"))
+    world.client.abandon("the navigator has ended")
+    world._update()
     assert world.ended == {A: (Outcome.ABORTED, "the navigator has ended")}
     world.step(1.0)
     assert world.in_force == ""
-    assert world.navigation.abandon("again") == Requests()
+    world.client.abandon("again")
+    assert world.client.update(world.now) == Due()
+
+
+def test_goal_that_is_left_to_the_controller_is_over_once_it_is_shown(world) -> None:
+    world.begin(A, until_taken=True)
+    world._under_way = None
+    world.step(1.0)
+    assert not world.ended, "it was lost"
+    world.step(0.5)
+    assert world.outcome(A) is Outcome.SUCCEEDED and world.mode is Kind.TRACKING
+    world.mode = Kind.DISABLED
+    world.step(30.0)
+    assert world.in_force == world.stamp(A) and world.cancels == 0, "it is not given up"
+
+
+def test_goal_is_sent_when_there_is_a_controller(world) -> None:
+    world.can_send = False
+    world.begin(A)
+    world.step(2.0)
+    assert not world.sent
+    world.can_send = True
+    world.step(3.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED and len(world.sent) == 1
+
+
+def test_time_in_which_the_process_was_stopped_is_no_silence_of_the_controller(world) -> None:
+    world.begin(A)
+    world.step(1.0)
+    world.now += 100.0
+    world._update()
+    assert not world.ended
+    world.step(2.0)
+    assert world.outcome(A) is Outcome.SUCCEEDED
 
 
 EVENTS = (
@@ -473,8 +513,8 @@ def test_each_goal_has_one_end_whatever_happens(events) -> None:
         if event in ("begin", "begin several"):
             begun += 1
             world.begin(str(begun).encode(), 1 + 2 * (event == "begin several"), 0.5)
-        elif event == "cancel" and world.navigation.goal:
-            assert world.navigation.cancel(world.navigation.goal, world.now)
+        elif event == "cancel" and world.client.goal:
+            assert world.client.cancel(world.client.goal)
         elif event == "foreign" and world.lives:
             world.take(FOREIGN)
         elif event == "kill":

@@ -39,8 +39,8 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.cdr import floor_message
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.floor_messages import floor_message
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.settings import ControllerSettings

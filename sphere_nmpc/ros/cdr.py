@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.model.state import Vector, make_state, upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
@@ -37,8 +38,7 @@ _PLAIN = b"\x00\x01\x00\x00"
 _ORDERS = {_PLAIN[:2]: "<", b"\x00\x00": ">"}
 _BEGIN = len(_PLAIN)
 """Where the message begins; its numbers are aligned to their size from here."""
-_STAMP = struct.Struct("<iI")
-_LENGTH = struct.Struct("<I")
+_STAMP, _LENGTH = struct.Struct("<iI"), struct.Struct("<I")
 
 
 class Clock(NamedTuple):
@@ -59,13 +59,6 @@ class Pose(NamedTuple):
         """Numbers of the state x, y [m] and quaternion wxyz, unchecked."""
         x, y, _, qx, qy, qz, qw = self.numbers
         return x, y, qw, qx, qy, qz
-
-    def in_frame(self, frame: str) -> Vector:
-        """Return the state, shape (6,), of a pose in the given frame or without one."""
-        if self.frame not in ("", frame):
-            raise InvalidStateError("frame", self.frame, f"'{frame}' (world_frame) or none")
-        x, y, _, qx, qy, qz, qw = self.numbers  # not of `state`, as this runs for each pose
-        return make_state((x, y), (qw, qx, qy, qz))
 
 
 class Joints(NamedTuple):
@@ -194,8 +187,6 @@ _TEXT, _TIME = "text", "time"
 `struct`, read as a tuple. A list has any number of its kind; a tuple is a record of kinds."""
 _HEADS = {_TEXT: "I", _TIME: "iI"}
 """Numbers that fields of these kinds begin with."""
-_NUMBERS = "d", "b"
-"""Kinds of numbers of which there are arrays."""
 _NO_NUMBERS: Vector = np.empty(0)
 _HEADER = _TIME, _TEXT
 _STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
@@ -214,13 +205,17 @@ _LAYOUTS: dict[Any, tuple[Any, ...]] = {
 _Record = TypeVar("_Record")
 
 
-def read(raw: bytes, record: type[_Record]) -> _Record:
-    """Return a serialised message as a record of its type."""
+def fields(raw: bytes, record: type) -> tuple[Any, ...]:
+    """Return the fields of a serialised message in the order of the record of its type."""
     try:
-        values, _ = _fields(raw, _BEGIN, _ORDERS[raw[:2]], _LAYOUTS[record])
+        return _fields(raw, _BEGIN, _ORDERS[raw[:2]], _LAYOUTS[record])[0]
     except (KeyError, ValueError, struct.error):
         raise InvalidInputError(record.__name__, raw, "a message of this type") from None
-    return record(*values)
+
+
+def read(raw: bytes, record: type[_Record]) -> _Record:
+    """Return a serialised message as a record of its type."""
+    return record(*fields(raw, record))
 
 
 def seconds(stamp: int, epoch: int = 0) -> float:
@@ -255,12 +250,22 @@ def pose_message(
     """
     x, y, qw, qx, qy, qz = state.tolist()
     numbers = struct.pack("<7d", x, y, shell_radius, qx, qy, qz, qw)
-    return _aligned(clock_message(stamp) + _text(frame)) + numbers
+    head = clock_message(stamp) + _text(frame)
+    return head + bytes((_BEGIN - len(head)) % 8) + numbers
 
 
 def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
-    """Return the state, shape (6,), of a serialised PoseStamped; see `Pose.in_frame`."""
-    return read(raw, Pose).in_frame(frame)
+    """Return the state, shape (6,), of a serialised PoseStamped; see `pose_in_frame`."""
+    _, given, numbers = fields(raw, Pose)
+    return pose_in_frame(numbers, given, frame)
+
+
+def pose_in_frame(numbers: tuple[float, ...], given: str, frame: str) -> Vector:
+    """Return the state, shape (6,), of numbers as in `Pose`, given in the frame or without one."""
+    if given not in ("", frame):
+        raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
+    x, y, _, qx, qy, qz, qw = numbers
+    return make_state((x, y), (qw, qx, qy, qz))
 
 
 def trajectory_message(hold: FirstOrderHold, epoch: int = 0) -> bytes:
@@ -319,15 +324,16 @@ def rotor_speeds_and_stamp(raw: bytes) -> tuple[Vector | None, int]:
     return None if found is None or not np.isfinite(found[1]).all() else found[1], joints.stamp
 
 
-def grid_message(
-    cells: Any, resolution: float, origin: Sequence[float], stamp: int, frame: str
-) -> bytes:
-    """Return values of a map, shape (H, W), as an OccupancyGrid; see the record of that name."""
-    height, width = cells.shape
-    time = divmod(stamp, NANOSECONDS)
-    head = clock_message(stamp) + _text(frame) + struct.pack("<iIfII", *time, resolution, width,
-                                                             height)
-    return _aligned(head) + struct.pack("<7dI", *origin, cells.size) + cells.tobytes()
+def floor_message(grid: Grid | None, stamp: int, frame: str) -> bytes:
+    """Return an OccupancyGrid of values 0 and 100 with a stamp [ns]; one of no cells for None."""
+    grid = grid or Grid(np.empty((0, 0), bool), 0.0, (0.0, 0.0, 0.0))
+    x, y, qw, qx, qy, qz = upright_state(*grid.origin).tolist()
+    (height, width), time = grid.occupied.shape, divmod(stamp, NANOSECONDS)
+    head = _PLAIN + _STAMP.pack(*time) + _text(frame)
+    head += struct.pack("<iIfII", *time, grid.resolution, width, height)
+    head += bytes((_BEGIN - len(head)) % 8)
+    head += struct.pack("<7dI", x, y, 0.0, qx, qy, qz, qw, grid.occupied.size)
+    return head + (grid.occupied.view(np.int8) * np.int8(100)).tobytes()
 
 
 def _fields(
@@ -350,27 +356,24 @@ def _fields(
             value = text.removesuffix(b"\x00").decode(errors="replace")
             at += len(text)
         elif isinstance(kind, list):
-            value = _NO_NUMBERS
-            if numbers[0] or kind[0] not in _NUMBERS:
-                value, at = _sequence(raw, at, order, numbers[0], kind[0])
+            (count,), (item,) = numbers, kind
+            if isinstance(item, tuple):
+                value = []
+                for _ in range(count):
+                    record, at = _fields(raw, at, order, item)
+                    value.append(record)
+            elif item is _TEXT:
+                texts, at = _fields(raw, at, order, (item,) * min(count, len(raw)))
+                value = list(texts)
+            elif count:
+                dtype = np.dtype(order + item)
+                at += (_BEGIN - at) % dtype.itemsize
+                value = np.frombuffer(raw, dtype, count, at)
+                at += value.nbytes
+            else:
+                value = _NO_NUMBERS
         values.append(value)
     return tuple(values), at
-
-
-def _sequence(raw: bytes, at: int, order: str, count: int, kind: Any) -> tuple[Any, int]:
-    """Return as many values of one kind, numbers as an array, and the place behind them."""
-    if isinstance(kind, tuple):
-        records = []
-        for _ in range(count):
-            record, at = _fields(raw, at, order, kind)
-            records.append(record)
-        return records, at
-    if kind is _TEXT:
-        texts, at = _fields(raw, at, order, (kind,) * min(count, len(raw)))
-        return list(texts), at
-    dtype = np.dtype(order + kind)
-    at += (_BEGIN - at) % dtype.itemsize
-    return np.frombuffer(raw, dtype, count, at), at + count * dtype.itemsize
 
 
 @cache
@@ -379,15 +382,11 @@ def _numbers(order: str, letters: str) -> tuple[int, struct.Struct]:
     return struct.calcsize(f"<{letters[-1]}"), struct.Struct(order + letters)
 
 
+@cache
 def _text(*words: str) -> bytes:
     """Return strings as CDR has them: length, characters, a zero byte, and padding to four."""
     parts = [word.encode() + b"\x00" for word in words]
     return b"".join(_LENGTH.pack(len(part)) + part + bytes(-len(part) % 4) for part in parts)
-
-
-def _aligned(head: bytes) -> bytes:
-    """Return the beginning of a message with padding for numbers of eight bytes."""
-    return head + bytes((_BEGIN - len(head)) % 8)
 
 
 _JOINTS = _text("") + _LENGTH.pack(len(JOINT_NAMES)) + _text(*JOINT_NAMES)

@@ -24,11 +24,11 @@ from sphere_nmpc.floor.layers import MOST_AREAS, Layers
 from sphere_nmpc.floor.map_file import read_map
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
+from sphere_nmpc.ros.cdr import floor_message
 from sphere_nmpc.ros.floor_messages import (
     LARGEST_KEEPOUT,
     LARGEST_MAP,
     CellsOf,
-    floor_message,
     keepout_of_message,
     map_of_message,
 )

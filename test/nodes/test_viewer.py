@@ -21,8 +21,8 @@ from robots import PALM
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
+from sphere_nmpc.ros.cdr import floor_message
 from sphere_nmpc.ros.controller.node import ControllerNode
-from sphere_nmpc.ros.floor_messages import floor_message
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode

@@ -32,7 +32,7 @@ from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.ros.cdr import Pose, read
+from sphere_nmpc.ros.cdr import Pose, fields, pose_in_frame
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
@@ -281,13 +281,12 @@ class ControllerNode(RunnableNode):
         schedule = self._schedule
         now = self._control_clock.steady_now() if schedule.is_real_time else None
         try:
-            received = read(message, Pose)
-            stamp = received.stamp
+            stamp, frame, numbers = fields(message, Pose)
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
             self._monitor.pose_received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
-            pose = TimedPose(stamp, measured, received.in_frame(self._frame))
+            pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
             self._monitor.stamps.received(measured, pose.state)
         except InvalidValueError as error:
             self._fault_log.report("pose refused", str(error))

@@ -79,7 +79,7 @@ class RobotSubscriptions:
         now = self._arrival()
         pose = cdr.read(raw, cdr.Pose)
         try:
-            state = pose.in_frame(self._frame)
+            state = cdr.pose_in_frame(pose.numbers, pose.frame, self._frame)
         except InvalidStateError as error:
             self._live.refused = str(error)
             return
@@ -96,7 +96,8 @@ class RobotSubscriptions:
         self._arrival()
         goal = cdr.read(raw, cdr.Pose)
         with suppress(InvalidStateError):
-            self._live.add_goal(stamp_text(goal.stamp), goal.in_frame(goal.frame))
+            pose = cdr.pose_in_frame(goal.numbers, goal.frame, goal.frame)
+            self._live.add_goal(stamp_text(goal.stamp), pose)
 
     def _take_plan(self, message: Path) -> None:
         self._live.controller_at = self._arrival()

@@ -247,15 +247,6 @@ def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
     assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")
 
 
-def test_robots_are_selected_by_namespace(tmp_path) -> None:
-    bag = write_own(tmp_path / "bag", [*run_messages("/left"), *run_messages("/right")])
-    with pytest.raises(BagError, match=r"several robots.*/left, /right"):
-        read_run(bag)
-    assert read_run(bag, "left").notes == ()
-    with pytest.raises(BagError, match="no robot in namespace 'up'"):
-        read_run(bag, "up")
-
-
 def hips(message) -> None:
     message.name = ["hip", "knee"]
 

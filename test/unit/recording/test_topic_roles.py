@@ -143,6 +143,8 @@ def test_poses_of_another_robot_are_not_taken(tmp_path) -> None:
     assert read_run(bag, pose_topic="/right/pose").notes == ()
     with pytest.raises(BagError, match=r"no topic 'pose' of type .* in namespace /left"):
         read_run(bag, "left")
+    with pytest.raises(BagError, match="no robot in namespace 'up'"):
+        read_run(bag, "up")
 
 
 def test_messages_of_another_type_on_the_topic_are_ignored(tmp_path) -> None:

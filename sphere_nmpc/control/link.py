@@ -11,7 +11,9 @@ from collections import deque
 
 import numpy as np
 
+from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.timing import MOST_AHEAD
+from sphere_nmpc.estimation.posterior import SHARE_STEP
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -24,12 +26,6 @@ _DISTINCT = 0.5
 """Difference of two commands above which measured speeds tell which one is followed [rad/s]."""
 _CLEAR = 0.5
 """Distance to the command that is followed over that to the other one, below which it is clear."""
-_FULL = 0.98
-"""Share of the acceleration limit above which rotors behind a command catch up with it; below it
-the drives are weaker than assumed."""
-_SERVO_LAG = 5e-3
-"""Lag of rotors up to which they count as having caught up with a command [s]: the simulated
-drives lag by 3.3 ms, and the estimate of it comes later than the first commands."""
 _KEPT = 256
 """Newest commands that may still take effect: half a second of them at the highest rate."""
 _LONGEST_WINDOW = 0.3
@@ -39,16 +35,10 @@ _NEGLIGIBLE = 0.025
 _SPACINGS = 1.25
 """Delay up to which a command also counts as in time [spacings of the measurements]: a clock that
 is a topic has the same spacing, and commands are late by that alone."""
-_GAPS = 8
-"""Newest measurements from which the spacing is taken."""
-_SHRINKING = 0.99
-"""Window over that before it, after a command that took effect in time."""
-_FORGETTING = 0.95
-"""Weight of what is known about losses after one more command."""
+_COMMANDS = 32
+"""Newest commands of which delay and loss are taken, and measurements of which the spacing is."""
 _LEAST_DELAY = 5e-3
 """Delay of poses [s] below which there is no link, only the time that a message takes."""
-_IN_TIME = 10
-"""Commands in time, one after another, after which measured speeds tell nothing more."""
 _LOSSY = 0.01
 """Share of lost commands up to which the link counts as without losses."""
 _POSES = 256
@@ -143,7 +133,7 @@ class PoseLink:
 
     def __init__(self) -> None:
         self._times: deque[float] = deque(maxlen=_POSES)
-        self._ages: deque[float] = deque(maxlen=_POSES)
+        self._ages = Recent(_POSES)
 
     def received(self, time: float, age: float) -> None:
         """Record a pose measured at `time` [s], which is `age` old; nan if that is unknown."""
@@ -153,8 +143,7 @@ class PoseLink:
             self._times.clear()
             self._ages.clear()
         self._times.append(time)
-        if not math.isnan(age):
-            self._ages.append(age)
+        self._ages.add(age)
 
     @property
     def delay(self) -> float:
@@ -162,7 +151,7 @@ class PoseLink:
 
         Where the clock is a topic, it is delayed as well, so that the age shows the difference.
         """
-        return sum(self._ages) / len(self._ages) if self._ages else math.nan
+        return self._ages.mean
 
     @property
     def loss(self) -> float:
@@ -200,7 +189,7 @@ class RotorFeedback:
         self.poses = PoseLink()
         """What the poses tell of the link."""
         self._is_measured = False
-        self._window = self._loss = 0.0
+        self._delays, self._losses = Recent(_COMMANDS), Recent(_COMMANDS)
         self.delay = float("nan")
         """Delay of the newest late command from sending to its effect [s]; nan without any."""
         self.reset()
@@ -211,29 +200,29 @@ class RotorFeedback:
         self._waiting: deque[tuple[FirstOrderHold, bool]] = deque(maxlen=_KEPT)
         self._measured: tuple[float, Vector] = (float("-inf"), np.zeros(INPUT_SIZE))
         self._between: list[tuple[float, Vector]] = []
-        self._gaps: deque[float] = deque(maxlen=_GAPS)
+        self._gaps = Recent(_COMMANDS)
         self.resume()
 
     def resume(self) -> None:
         """Ask for measured speeds again, as the link may be another one."""
-        self._in_time = 0
+        self._known = 0
 
     @property
     def window(self) -> float:
         """Delay that commands may have without being late [s]; 0 without a link."""
-        delay = self.poses.delay
-        return max(self._window, min(delay, _LONGEST_WINDOW) if delay > _LEAST_DELAY else 0.0)
+        late, delay = self._delays.quantile(1.0) if self._delays else 0.0, self.poses.delay
+        return min(max(late, delay if delay > _LEAST_DELAY else 0.0), _LONGEST_WINDOW)
 
     @property
     def loss(self) -> float:
         """Share of the newest commands that did not take effect before the next one."""
-        loss = self._loss if self._is_measured else self.poses.loss
+        loss = self._losses.mean if self._is_measured else self.poses.loss
         return 0.0 if math.isnan(loss) else loss
 
     @property
     def is_needed(self) -> bool:
         """Whether measured speeds are of use: not where all commands take effect in time."""
-        return self._in_time < _IN_TIME or self.shows_link
+        return self._known < _COMMANDS or self.shows_link
 
     @property
     def shows_link(self) -> bool:
@@ -255,7 +244,7 @@ class RotorFeedback:
             return
         self._measured, self._is_measured = (time, speeds), True
         if np.isfinite(since):
-            self._gaps.append(time - since)
+            self._gaps.add(time - since)
         self._sent.known_until = time
         due = [i for i, (hold, _) in enumerate(self._waiting) if hold.start <= time]
         if not due:
@@ -276,7 +265,7 @@ class RotorFeedback:
             if not is_late:
                 return  # The next measurement tells whether the rotors are late or weak.
             steepest = _distance(speeds, before) / (time - since)
-            is_late = self._waiting[best][1] or steepest > _FULL * self._acceleration
+            is_late = self._waiting[best][1] or steepest > (1.0 - SHARE_STEP) * self._acceleration
         self._took_effect(best, is_late, time, speeds)
 
     def _speeds_before(self, time: float) -> Vector:
@@ -290,9 +279,8 @@ class RotorFeedback:
         delay, was_withdrawn = 0.0, passed[-1][1]
         for _, is_lost in passed[:-1]:
             if is_lost:
-                self._in_time = 0
-                self._count(lost=True)
-        self._count(lost=False)
+                self._losses.add(1.0)
+        self._losses.add(0.0)
         if is_late:
             measured = [*self._between, (time, speeds)][: len(self._between) or 1]
             began = self._began(hold, *measured[0])
@@ -300,22 +288,11 @@ class RotorFeedback:
             if was_withdrawn or delay > self._negligible:
                 for withdrawn, _ in passed:
                     self._sent.withdraw(withdrawn)
-                *between, (last, then) = measured
-                behind = _distance(then, hold.at(last))
-                if behind < _SERVO_LAG * self._acceleration:
-                    # Servos stay behind on a steep ramp, though they follow it.
-                    then = hold.at(last)
-                known = [(began, self._speeds_before(began)), *between, (last, then)]
+                known = [(began, self._speeds_before(began)), *measured]
                 self._sent.follow(hold, known, self._acceleration)
                 self.delay = delay
-        if delay > self._negligible:
-            self._in_time = 0
-            self._window = max(self._window, min(delay, _LONGEST_WINDOW))
-        else:
-            self._in_time += 1
-            self._window *= _SHRINKING
-            if self._window < _NEGLIGIBLE:
-                self._window = 0.0
+        self._known += 1
+        self._delays.add(delay if delay > self._negligible else 0.0)
         self._followed = hold
         self._between = []
 
@@ -330,7 +307,8 @@ class RotorFeedback:
     @property
     def _negligible(self) -> float:
         """Delay up to which a command counts as in time [s]."""
-        return max(_NEGLIGIBLE, _SPACINGS * min(self._gaps, default=0.0))
+        spacing = self._gaps.quantile(0.0) if self._gaps else 0.0
+        return max(_NEGLIGIBLE, _SPACINGS * spacing)
 
     def _overdue(self, due: list[int], time: float) -> None:
         """Withdraw commands that are not followed at `time` [s] though they should be."""
@@ -340,9 +318,6 @@ class RotorFeedback:
             if not is_late and time - hold.start > self._negligible:
                 self._sent.withdraw(hold)
                 self._waiting[i] = (hold, True)
-
-    def _count(self, lost: bool) -> None:
-        self._loss = _FORGETTING * self._loss + (1.0 - _FORGETTING) * lost
 
 
 def _distance(one: Vector, other: Vector) -> float:

@@ -7,11 +7,11 @@ for each command.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
+from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
@@ -23,16 +23,12 @@ _EARLY = 0.25
 """How much before its instant a tick may appear to be, in periods: the first one may be late.
 One may be late by up to the rest of a period before it counts for the next instant."""
 PLANNING_SHARE = 0.4
-"""Share of the control period that planning may take; the rest is for other processes."""
+"""Share of the control period that planning may take, and by which a plan is made ahead at most;
+the rest is for other processes."""
 _LEAST_SHARE = 0.1
 """Share of the control period that planning may take at any tick, however late it is."""
-_MOST_LEAD = 0.5
-"""Largest share of the control period by which a plan is made ahead, for planning and the
-transport of its command."""
-_RECENT = 8
-"""Newest plans from whose durations that of the next one is predicted."""
-_MARGIN = 1.25
-"""Predicted duration over the longest of these."""
+_RECENT = 32
+"""Newest plans, of which the next one is expected to take no longer than the longest."""
 _NEGLIGIBLE = 0.02
 """Share of the control period up to which a command counts as sent at its instant."""
 
@@ -97,7 +93,7 @@ class Schedule:
         self._watch = watch
         self._origin: float | None = None
         self._last = 0
-        self._took: deque[float] = deque(maxlen=_RECENT)
+        self._took = Recent(_RECENT)
         self.starting = True
         """Whether the next plan is the first one towards a goal."""
         self.answered: int | None = None
@@ -147,10 +143,10 @@ class Schedule:
 
     def _lead(self) -> float:
         """Return the predicted delay of a command behind its instant [s, control time]."""
-        expected = _MARGIN * max(self._took, default=0.0)
+        expected = self._took.quantile(1.0) if self._took else 0.0
         if expected < _NEGLIGIBLE * self._period:
             return 0.0
-        return min(expected, _MOST_LEAD * self._period)
+        return min(expected, PLANNING_SHARE * self._period)
 
     @property
     def may_start(self) -> bool:
@@ -178,7 +174,7 @@ class Schedule:
 
     def completed(self, duration: float, solved: bool) -> None:
         """Record a plan that took `duration` from its request to its command [s, wall]."""
-        self._took.append(self._late + duration * (self._watch.pace or 1.0))
+        self._took.add(self._late + duration * (self._watch.pace or 1.0))
         self.starting = self.starting and not solved
 
     def request(self, now: float) -> PlanRequest:

@@ -3,25 +3,25 @@
 """Control time: pace and jumps of its clock, and missed sampling instants."""
 
 from collections import deque
-from itertools import pairwise
+
+from sphere_nmpc.control.recent import Recent
 
 MOST_AHEAD = 0.5
 """How far ahead of its clock a command may begin [s]; a smaller step of the clock is no jump."""
-_WINDOW, _SPACING, _ENOUGH = 0.5, 5e-3, 1e-2
-"""Wall time over which the pace is measured, between two readings, and at least needed [s]."""
-_STANDSTILL = 0.1
-"""Wall time without progress of control time that counts as a pause [s]."""
+_WINDOW, _ENOUGH = 0.5, 1e-2
+"""Wall time over which the pace is measured, and that at least needed [s]."""
 _HURRY = 3.0
 """Excess over the measured pace up to which a simulated clock does not jump, in paces of at least
 1: on a busy machine simulator and controller run by turns."""
 _STEADY_AFTER = 0.2
-"""Wall time without a jump after which the clock is steady again [s]."""
+"""Wall time without a jump after which the clock is steady again, and without progress of control
+time that counts as a pause [s]."""
 _COUNT_EVERY = 1.0
 """Least wall time between two readings of the numbers of samples [s]."""
 _INTERVALS = 5
 """Intervals between readings over which the share is taken."""
-_MANY, _FEW = 0.1, 0.02
-"""Share of missed instants at which it begins to be reported, and at which that ends."""
+_MANY = 0.05
+"""Share of missed instants from which on it is reported."""
 
 
 class ClockWatch:
@@ -118,13 +118,12 @@ class ClockWatch:
     def _measure(self, now: float, wall: float) -> None:
         self._read_at, readings = wall, self._readings
         if self._last is not None and now == self._last[0]:
-            if wall - self._last[1] >= _STANDSTILL:
+            if wall - self._last[1] >= _STEADY_AFTER:
                 readings.clear()
                 self.pace = None if self._simulated else 1.0
             return
         self._last = (now, wall)
-        if not readings or wall - readings[-1][1] >= _SPACING:
-            readings.append((now, wall))
+        readings.append((now, wall))
         while wall - readings[0][1] > _WINDOW and len(readings) > 1:
             readings.popleft()
         if self._simulated:
@@ -138,29 +137,26 @@ class MissedSamples:
     """Monitor of missed sampling instants; a single gap, as at a slow start, does not count."""
 
     def __init__(self) -> None:
-        self._readings: deque[tuple[float, int, int]] = deque(maxlen=_INTERVALS + 1)
+        self._last: tuple[float, int, int] | None = None
+        self._shares, self._spans = Recent(_INTERVALS), Recent(_INTERVALS)
         self.share = 0.0
-        """Share of the instants missed lately; 0 unless some were missed in each interval, and
-        `_MANY` of all."""
+        """Share of the instants missed lately; 0 unless they are `_MANY`, and begin with some in
+        each interval."""
 
     @property
     def span(self) -> float:
         """Wall time over which the share is taken [s]."""
-        return self._readings[-1][0] - self._readings[0][0]
+        return len(self._spans) * self._spans.mean
 
     def read(self, wall: float, used: int, missed: int) -> None:
         """Take the numbers of instants with and without a plan so far, at wall time `wall` [s]."""
-        readings = self._readings
-        if readings and wall < readings[-1][0] + _COUNT_EVERY:
+        then, used_then, missed_then = self._last or (wall, used, missed)
+        if self._last is not None and wall < then + _COUNT_EVERY:
             return
-        readings.append((wall, used, missed))
-        gained = readings[-1][2] - readings[0][2]
-        share = gained / max(1, gained + readings[-1][1] - readings[0][1])
-        if self.share:
-            self.share = share if share >= _FEW else 0.0
-            return
-        counts = [count for _, _, count in readings]
-        steady = len(counts) > _INTERVALS and all(
-            later > earlier for earlier, later in pairwise(counts)
-        )
-        self.share = share if steady and share >= _MANY else 0.0
+        if self._last is not None:
+            gained = missed - missed_then
+            self._shares.add(gained / max(1, gained + used - used_then))
+            self._spans.add(wall - then)
+        self._last = (wall, used, missed)
+        lasts = bool(self.share) or (self._shares.is_full and self._shares.quantile(0.0) > 0.0)
+        self.share = self._shares.mean if lasts and self._shares.mean >= _MANY else 0.0

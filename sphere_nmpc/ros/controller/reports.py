@@ -3,12 +3,10 @@
 """Publishers of the controller's goal, arrival, predicted path, status and diagnostics."""
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
@@ -19,6 +17,7 @@ from sphere_nmpc.conditions import ERROR, OK, WARN, Condition, Kind, Severity, w
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import rotor_reserve
+from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
@@ -68,9 +67,8 @@ class ControllerReports:
         self._period = settings.control_period
         self._strategy = settings.strategy
         self._status_values = ControllerStatus(controller, robot, settings)
-        self._solve_times: deque[float] = deque(maxlen=_KEPT)
-        self._tick_times: deque[float] = deque(maxlen=_KEPT)
-        self._gaps: deque[float] = deque(maxlen=_KEPT)
+        self._solve_times, self._tick_times = Recent(_KEPT), Recent(_KEPT)
+        self._gaps = Recent(_KEPT)
         self._decision: Decision | None = None
         self._is_outdated = False
         """Whether the decision is about an earlier goal."""
@@ -208,13 +206,13 @@ class ControllerReports:
         """
         self.ticks += 1
         self._decision, self._is_outdated = decision, False
-        self._tick_times.append(duration)
-        self._gaps.append(wall - self._last_tick)
+        self._tick_times.add(duration)
+        self._gaps.add(wall - self._last_tick)
         self._last_tick = wall
         plan, solved, mode = decision.plan, decision.solved, decision.conditions[0].kind
         if solved:
             if decision.is_new:
-                self._solve_times.append(plan.solve_time)
+                self._solve_times.add(plan.solve_time)
         elif mode is Kind.FALLBACK:
             self._fault_log.report(Kind.FALLBACK.log, plan.message)
         self._status_values.update(decision, time)
@@ -301,9 +299,7 @@ class ControllerReports:
         return mode.severity, f"{mode.value}{at}", values
 
 
-def _percentiles(times: Iterable[float]) -> tuple[float, float, float]:
+def _percentiles(times: Recent) -> tuple[float, float, float]:
     """Return median, 99th percentile and maximum of times [s] in ms; nan where there are none."""
-    known = [time for time in times if time == time]
-    values = np.array(known or [np.nan]) * 1e3
-    median, p99 = np.percentile(values, [50, 99])
-    return float(median), float(p99), float(np.max(values))
+    median, p99, most = (1e3 * times.quantile(share) for share in (0.5, 0.99, 1.0))
+    return median, p99, most

@@ -113,7 +113,7 @@ def test_lost_command_was_never_followed(robot: Robot) -> None:
     robot.send(2.5, 15.0, 0.0, arrives=True)
     robot.measure(2.7)
     assert robot.believed(2.2, 2.7) == pytest.approx([12.0, 15.0], abs=EXACT)
-    assert robot.feedback.loss == pytest.approx(0.95 * 0.05) and robot.feedback.shows_link
+    assert robot.feedback.loss == pytest.approx(1 / 3) and robot.feedback.shows_link
 
 
 def test_late_command_is_followed_from_when_it_was_measured(robot: Robot) -> None:

@@ -20,6 +20,8 @@ from verb_process import start, stop
 from sphere_sim.ros.session import goal_wait
 from sphere_sim.ros.session.goal_command import main
 
+pytestmark = pytest.mark.slow
+
 FAR = ("300", "0", "--wait")
 """A goal that is not reached within a test."""
 
@@ -41,7 +43,6 @@ def test_goal_that_no_controller_confirms_exits_with_1(capsys, monkeypatch) -> N
     )
 
 
-@pytest.mark.slow
 def test_what_the_controller_waits_for_is_told_with_the_remedy(capsys, monkeypatch) -> None:
     monkeypatch.setattr("sphere_sim.ros.session.goal_command._ANSWER_TIMEOUT", PATIENCE)
     with started("controller", "-p", "use_sim_time:=true", "-p", "goal_memory:=0.0"):
@@ -129,7 +130,6 @@ def call(kind: type, name: str, request: object) -> None:
     context.shutdown()
 
 
-@pytest.mark.slow
 def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot, capfd) -> None:
     waiting = ("--wait", "--timeout", str(PATIENCE))
     assert main(["0.3", "0.2", *waiting]) == 0
@@ -147,7 +147,6 @@ def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot
     assert main(["0", "0", "--yaw", "90", "--degrees", *waiting]) == 0, "already there"
 
 
-@pytest.mark.slow
 def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_over(
     robot, capsys
 ) -> None:
@@ -165,7 +164,6 @@ def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_
     assert robot.printed.endswith(": another goal took over\n")
 
 
-@pytest.mark.slow
 def test_command_that_cancels_on_interrupt_waits_until_the_sphere_is_at_rest(robot) -> None:
     robot.begin(*FAR, "--cancel-on-interrupt")
     robot.command.send_signal(signal.SIGTERM)
@@ -175,7 +173,6 @@ def test_command_that_cancels_on_interrupt_waits_until_the_sphere_is_at_rest(rob
     )
 
 
-@pytest.mark.slow
 def test_command_ends_when_the_goal_is_cancelled_or_the_controller_disabled(robot) -> None:
     robot.begin(*FAR)
     call(Trigger, "cancel", Trigger.Request())
@@ -191,7 +188,6 @@ def test_command_ends_when_the_goal_is_cancelled_or_the_controller_disabled(robo
     call(SetBool, "enable", SetBool.Request(data=True))
 
 
-@pytest.mark.slow
 def test_command_continues_with_a_restarted_controller(
     robot, goal_files, monkeypatch, capsys
 ) -> None:
@@ -226,7 +222,6 @@ def test_command_continues_with_a_restarted_controller(
     assert ": no goal is in force any more: cancelled" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_command_ends_when_the_controller_is_gone(robot) -> None:
     robot.begin(*FAR)
     robot.controller.kill()

@@ -31,7 +31,7 @@ test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in 7 
 	@echo "2000 tests take seven minutes on two idle cores, longer on busy ones"
 	$(VENV)/bin/python -m pytest $(SPREAD) $(ARGS)
 
-test-fast: $(VENV)/.stamp  ## Run the tests that take no more than a few seconds
+test-fast: $(VENV)/.stamp  ## Run the tests that are not marked slow
 	$(VENV)/bin/python -m pytest $(SPREAD) -m "not slow" $(ARGS)
 
 check: $(VENV)/.stamp  ## Lint and type check

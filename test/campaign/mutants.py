@@ -147,8 +147,8 @@ def tried(mutant: Mutant, tree: Path) -> dict[str, object]:
     path.write_text(_mutated(text, mutant))
     libraries = {p: p.read_bytes() for p in (tree / ROOMS["solver"]).glob("*.so")}
     tests = sorted(TESTS, key=lambda folder: folder != f"test/unit/{mutant.room}")
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p",
-               "no:cacheprovider", "--no-header", "-r", "N", "--tb=no", *tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider",
+               "--no-header", "-r", "N", "--tb=no", *tests]
     try:
         if mutant.room == "solver":
             for library in libraries:

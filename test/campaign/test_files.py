@@ -16,6 +16,8 @@ from sphere_nmpc.child import python_command
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
 
+pytestmark = pytest.mark.slow
+
 STUDY = ("study", "--draw", "2", "--seed", "1", "--duration", "1", "--jobs", "2", "--no-bound")
 
 

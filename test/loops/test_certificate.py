@@ -34,6 +34,8 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.background import SearchTask
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = ControllerSettings(planning_effort=20_000)
 LARGER = RobotParameters(shell_radius=1.15 * RADIUS)
 """The sphere with a shell that is 15 % larger."""

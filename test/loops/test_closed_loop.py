@@ -28,6 +28,8 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 ROBOT = RobotParameters()
 PAPER = ControllerSettings(strategy="paper")
 

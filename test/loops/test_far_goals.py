@@ -32,6 +32,8 @@ from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 ROBOT = RobotParameters()
 TUNING = TimeOptimalSettings()
 START = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))

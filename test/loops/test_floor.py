@@ -42,6 +42,8 @@ from sphere_nmpc.strategy.time_optimal.background import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.lines import line_hold, speeds_along
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
+pytestmark = pytest.mark.slow
+
 SOLVER = solver_for(ROBOT, TimeOptimalSettings())
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 SIDEWAYS = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)

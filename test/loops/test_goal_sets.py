@@ -16,6 +16,8 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 
+pytestmark = pytest.mark.slow
+
 ROBOT = RobotParameters()
 SETTINGS = ControllerSettings()
 SETS = [Orientation.ANY_HEADING, Orientation.ANY]

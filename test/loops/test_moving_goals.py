@@ -24,6 +24,8 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.settings import ControllerSettings
 
+pytestmark = pytest.mark.slow
+
 SPACING = 0.1
 """Time between two goals [s]."""
 START = upright_state(0.0, 0.0, 0.0)

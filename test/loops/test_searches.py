@@ -29,6 +29,8 @@ from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 ROBOT = RobotParameters()
 DRAWN = draw_scenarios(4, 77)
 # Short for this robot, whose turn of the shell takes 25 s.

@@ -25,6 +25,8 @@ from sphere_sim.study.single_run import floor_of, run_scenario
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
 
+pytestmark = pytest.mark.slow
+
 ACROSS = Scenario(as_state([-1.0, 0.0, 1, 0, 0, 0]), as_state([1.0, 0.0, 1, 0, 0, 0]))
 """From one side of the wall in the middle to the other."""
 PUSHED = Scenario(

@@ -17,6 +17,8 @@ from patience import PATIENCE
 from sphere_nmpc.child import END_SIGNALS, Child, ChildEndedError
 from sphere_sim.ros.session.process_set import ProcessSet
 
+pytestmark = pytest.mark.slow
+
 WAITING = """
 import signal, subprocess, sys, time
 words = sys.argv[1:]
@@ -83,7 +85,6 @@ def test_kill_ends_what_the_process_has_started(process) -> None:
     until(lambda: not grandchild.is_running() or grandchild.status() == psutil.STATUS_ZOMBIE)
 
 
-@pytest.mark.slow
 def test_unexpected_end_of_a_verb_quotes_its_output(tmp_path) -> None:
     with ProcessSet(tmp_path) as processes:
         node = processes.start("simulator", ["--nonsense"])

@@ -18,6 +18,8 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_sim.cli.exits import Signals, guarded, if_interrupted
 from sphere_sim.output.error_text import in_words
 
+pytestmark = pytest.mark.slow
+
 LONG = 2.0 * PATIENCE
 """How long a process waits for a signal [s]; longer than the test waits for its end."""
 COMMAND = """

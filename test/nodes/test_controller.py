@@ -40,6 +40,8 @@ from sphere_nmpc.ros.messages import (
 )
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
+pytestmark = pytest.mark.slow
+
 CASE = PAPER_CASES[1]
 TICK = 20_000_000
 """Spacing of poses and clock messages [ns]."""

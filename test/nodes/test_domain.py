@@ -25,6 +25,8 @@ from sphere_sim.ros.session.other_publishers import (
     find_publishers,
 )
 
+pytestmark = pytest.mark.slow
+
 SESSION = int(os.environ["ROS_DOMAIN_ID"])
 SPARE = (187, 186, 185)
 """Domains that nothing of this package takes by itself."""

@@ -21,6 +21,8 @@ from ros_graph import started, values_of
 from sphere_nmpc.child import module_command, python_command
 from sphere_sim.ros.session.process_set import parameter_options, verb_command
 
+pytestmark = pytest.mark.slow
+
 PATIENT = ("--ros-args", *parameter_options({"patience": PATIENCE}))
 OWN_ROBOT = ("--params-file", "examples/own_robot.yaml")
 
@@ -38,7 +40,6 @@ def nodes(*options: str) -> Iterator[None]:
         yield
 
 
-@pytest.mark.slow
 def test_goals_are_reached_in_turn_also_if_the_nodes_start_later() -> None:
     command = example_command("go_and_wait.py", *PATIENT)
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as client, nodes():
@@ -48,7 +49,6 @@ def test_goals_are_reached_in_turn_also_if_the_nodes_start_later() -> None:
     assert output.splitlines() and forms(output) <= forms(documented)
 
 
-@pytest.mark.slow
 def test_robot_of_ones_own_goes_around_the_table_and_not_onto_it(monkeypatch) -> None:
     monkeypatch.chdir(ROOT)
     with nodes(*OWN_ROBOT):

@@ -21,6 +21,8 @@ from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_sim.ros.session import goal_command
 from sphere_sim.ros.session.goal_command import main
 
+pytestmark = pytest.mark.slow
+
 FAR = ("300", "0", "--wait")
 """A goal that is not reached within a test."""
 
@@ -42,7 +44,6 @@ def test_goal_that_no_controller_confirms_exits_with_1(capsys, monkeypatch) -> N
     )
 
 
-@pytest.mark.slow
 def test_what_the_controller_waits_for_is_told_with_the_remedy(capsys, monkeypatch) -> None:
     monkeypatch.setattr("sphere_sim.ros.session.goal_command._ANSWER_TIMEOUT", PATIENCE)
     with started("controller", "-p", "use_sim_time:=true", "-p", "goal_memory:=0.0"):
@@ -130,7 +131,6 @@ def call(kind: type, name: str, request: object) -> None:
     context.shutdown()
 
 
-@pytest.mark.slow
 def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot, capfd) -> None:
     waiting = ("--wait", "--timeout", str(PATIENCE))
     assert main(["0.3", "0.2", *waiting]) == 0
@@ -148,7 +148,6 @@ def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot
     assert main(["0", "0", "--yaw", "90", "--degrees", *waiting]) == 0, "already there"
 
 
-@pytest.mark.slow
 def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_over(
     robot, capsys
 ) -> None:
@@ -166,7 +165,6 @@ def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_
     assert robot.printed.endswith(": another goal has taken over\n")
 
 
-@pytest.mark.slow
 def test_command_cancels_on_interrupt_and_ends_where_the_controller_is_disabled(robot) -> None:
     robot.begin(*FAR, "--cancel-on-interrupt")
     robot.command.send(signal.SIGTERM)
@@ -184,7 +182,6 @@ def test_command_cancels_on_interrupt_and_ends_where_the_controller_is_disabled(
     call(SetBool, "enable", SetBool.Request(data=True))
 
 
-@pytest.mark.slow
 def test_command_continues_with_a_restarted_controller(
     robot, goal_files, monkeypatch, capsys
 ) -> None:
@@ -221,7 +218,6 @@ def test_command_continues_with_a_restarted_controller(
     assert ": cancelled at the controller" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_command_ends_when_the_controller_is_gone(robot) -> None:
     robot.begin(*FAR)
     robot.controller.kill()

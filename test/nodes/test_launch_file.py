@@ -20,6 +20,8 @@ from parameter_tables import NODES, PARTS
 from sphere_nmpc.quantity import quantities
 from sphere_sim.output.error_text import EXTRAS
 
+pytestmark = pytest.mark.slow
+
 OTHERS = ("robot_state_publisher", "rviz2", "ros2bag", "rosbag2_storage_mcap")
 ALL = ("record:=true", "rviz:=true", "viewer:=true")
 FRAME = {"world_frame": "world"}
@@ -219,7 +221,6 @@ def test_unknown_arguments_are_only_those_of_this_file() -> None:
     assert nodes(started("launch-prefix:=gdb", "sigterm_timeout:=20"))
 
 
-@pytest.mark.slow
 def test_it_is_refused_while_nodes_of_the_same_topics_run(capfd) -> None:
     pytest.importorskip("rclpy")
     from ros_graph import started as running

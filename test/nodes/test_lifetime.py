@@ -24,6 +24,8 @@ from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
+pytestmark = pytest.mark.slow
+
 CASE = PAPER_CASES[1]
 CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
 

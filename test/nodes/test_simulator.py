@@ -29,6 +29,8 @@ from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MS = 1_000_000
 SAMPLE = 250 * MS

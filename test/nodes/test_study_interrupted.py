@@ -17,6 +17,8 @@ import psutil
 import pytest
 from patience import PATIENCE
 
+pytestmark = pytest.mark.slow
+
 COMMAND = [sys.executable, "-c", "from sphere_sim.cli.main import main; exit(main())", "study"]
 
 
@@ -78,7 +80,6 @@ def test_interrupted_search_for_best_known_times_leaves_all_other_results(tmp_pa
     assert (out / "inputs.npz").exists()
 
 
-@pytest.mark.slow
 def test_study_on_a_full_disk_keeps_its_runs_and_continues(tmp_path) -> None:
     """A limit on the size of files makes a write fail as a full disk does."""
     journal = tmp_path / "journal.jsonl"

@@ -24,6 +24,8 @@ from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import TRIES, Workers, WorkersError
 
+pytestmark = pytest.mark.slow
+
 CONDITIONS = StudyConditions(duration=1.0, perturbation=3.0, latency=0.02).with_settings(
     [("process_noise", "1e-3"), ("position_noise", "1e-3"), ("planning_effort", "20000")]
 )

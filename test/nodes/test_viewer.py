@@ -40,6 +40,8 @@ from sphere_sim.viewer.source import (
     SetStrategy,
 )
 
+pytestmark = pytest.mark.slow
+
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
 ROBOT = RobotParameters(

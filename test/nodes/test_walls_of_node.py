@@ -17,6 +17,8 @@ from std_msgs.msg import Float64MultiArray
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_sim.ros.simulator.node import SimulatorNode
 
+pytestmark = pytest.mark.slow
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 

@@ -20,6 +20,8 @@ from sphere_nmpc.worker import process
 from sphere_nmpc.worker.contract import Reply
 from sphere_nmpc.worker.process import WorkerProcess
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def faults() -> list[str]:

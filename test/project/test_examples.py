@@ -12,6 +12,8 @@ from documented_examples import EXAMPLES, forms, printed, run_example, section
 from sphere_nmpc.floor.route import in_sight, route_to
 from sphere_nmpc.floor.settings import FloorSettings
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
 def test_what_the_tutorial_quotes_is_in_the_example(name: str) -> None:

@@ -16,6 +16,8 @@ from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 SCENARIOS = inexact_times.scenarios([1, 2, 3])
 
 

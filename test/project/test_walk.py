@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("rclpy")
 
 WALK = Path(__file__).parents[2] / "bench/walk.py"

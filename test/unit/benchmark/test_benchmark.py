@@ -22,6 +22,8 @@ from sphere_sim.benchmark.solvers import ALGORITHM_1, PLAN_KEEPING, AlgorithmOne
 from sphere_sim.cli.benchmark import main
 from sphere_sim.scenario.scenarios import PAPER_CASES, draw_scenarios
 
+pytestmark = pytest.mark.slow
+
 
 class Idle:
     """Keeps the rotors at rest, with times that another process measured; may fail."""
@@ -128,7 +130,6 @@ def test_answers_of_acados_come_from_another_python(tmp_path):
 QUICK = ["--quick", "--cases", "3", "--duration", "2", "--budget", "1"]
 
 
-@pytest.mark.slow
 def test_command_writes_numbers_table_and_figure(tmp_path, capsys):
     path = tmp_path / "deep" / "benchmark.json"
     assert main(["--json", str(path), "--random", "5", *QUICK]) == 0

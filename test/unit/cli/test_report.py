@@ -38,6 +38,8 @@ from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report import report_files
 from sphere_sim.ros.session.process_set import verb_command
 
+pytestmark = pytest.mark.slow
+
 
 def approach(goals: int = 1) -> Iterator[Entry]:
     """Yield poses and goals and nothing else.
@@ -83,7 +85,6 @@ def report(*arguments: str, limit: int | None = None, **environment: str):
     )
 
 
-@pytest.mark.slow
 def test_report_of_one_bag_is_complete_also_outside_of_the_locale(tmp_path) -> None:
     bag, out = make_bag(tmp_path / "a&büg" / "bag"), tmp_path / "örep"
     ended = report(
@@ -291,7 +292,6 @@ def test_report_of_a_run_without_a_goal_says_so(tmp_path, capsys, one_figure) ->
     assert np.all(np.isnan(table["error"])) and np.all(np.isfinite(table["x"]))
 
 
-@pytest.mark.slow
 def test_error_names_the_file_that_cannot_be_written_and_numbers_are_kept(tmp_path) -> None:
     bag, out = make_bag(tmp_path / "run"), tmp_path / "out"
     ended = report(str(bag), "--out", str(out), "--csv", limit=35_000)

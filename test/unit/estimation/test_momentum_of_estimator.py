@@ -22,6 +22,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 
+pytestmark = pytest.mark.slow
+
 ROBOT = RobotParameters()
 CONSTANTS = ROBOT.lumped.as_array() * np.array([1.0, 1.03, 0.99, 1.01])
 EXACT = ControllerSettings()

@@ -16,6 +16,8 @@ from sphere_nmpc.model.state import Vector
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
+pytestmark = pytest.mark.slow
+
 NOMINAL = RobotParameters()
 PERIOD = 0.25
 LIMIT = 400.0

@@ -3,6 +3,7 @@
 """The estimator on late, noisy, lost, out-of-order and wrong poses."""
 
 import numpy as np
+import pytest
 from estimated_motion import LUMPED, START, predicted, random_ramps
 
 from sphere_nmpc.estimation.estimator import Estimator
@@ -12,6 +13,8 @@ from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
+
+pytestmark = pytest.mark.slow
 
 POSITION_NOISE, ANGLE_NOISE = 0.005, float(np.radians(1.0))
 SETTINGS = ControllerSettings(

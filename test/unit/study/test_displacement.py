@@ -20,6 +20,8 @@ from sphere_sim.study.displacement import FASTEST, DisplacementSteps
 from sphere_sim.study.displacement_table import DisplacementTable, computed_table
 from sphere_sim.study.orientation_grid import INPUTS, OrientationGrid, angles_of
 
+pytestmark = pytest.mark.slow
+
 SIZE = 24
 """Of a coarse grid: its table is a bound as any other one."""
 ROBOTS = {"Table 1": RobotParameters(), "heavy rotors": HEAVY_ROTORS}

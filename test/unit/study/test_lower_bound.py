@@ -17,6 +17,8 @@ from sphere_sim.study.lower_bound import _largest_gain, lower_bound
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
+pytestmark = pytest.mark.slow
+
 TABLE_1 = RobotParameters()
 # Inertia about the body's z axis is the smaller one, r3 > r1, unlike in the other robot.
 ROBOTS = [HEAVY_ROTORS, replace(TABLE_1, rotor_offset=0.0, shell_inertia=0.001)]

@@ -20,6 +20,8 @@ from sphere_sim.report.figures.comparison import comparison, side_by_side
 from sphere_sim.report.figures.paper import contact_locus, paper_panels
 from sphere_sim.report.figures.style import save
 
+pytestmark = pytest.mark.slow
+
 FIGURES = {
     "panels": paper_panels,
     "locus": contact_locus,

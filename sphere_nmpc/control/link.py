@@ -143,7 +143,8 @@ class PoseLink:
             self._times.clear()
             self._ages.clear()
         self._times.append(time)
-        self._ages.add(age)
+        if not math.isnan(age):
+            self._ages.append(age)
 
     @property
     def delay(self) -> float:
@@ -210,7 +211,7 @@ class RotorFeedback:
     @property
     def window(self) -> float:
         """Delay that commands may have without being late [s]; 0 without a link."""
-        late, delay = self._delays.quantile(1.0) if self._delays else 0.0, self.poses.delay
+        late, delay = max(self._delays, default=0.0), self.poses.delay
         return min(max(late, delay if delay > _LEAST_DELAY else 0.0), _LONGEST_WINDOW)
 
     @property
@@ -244,7 +245,7 @@ class RotorFeedback:
             return
         self._measured, self._is_measured = (time, speeds), True
         if np.isfinite(since):
-            self._gaps.add(time - since)
+            self._gaps.append(time - since)
         self._sent.known_until = time
         due = [i for i, (hold, _) in enumerate(self._waiting) if hold.start <= time]
         if not due:
@@ -279,8 +280,8 @@ class RotorFeedback:
         delay, was_withdrawn = 0.0, passed[-1][1]
         for _, is_lost in passed[:-1]:
             if is_lost:
-                self._losses.add(1.0)
-        self._losses.add(0.0)
+                self._losses.append(1.0)
+        self._losses.append(0.0)
         if is_late:
             measured = [*self._between, (time, speeds)][: len(self._between) or 1]
             began = self._began(hold, *measured[0])
@@ -292,7 +293,7 @@ class RotorFeedback:
                 self._sent.follow(hold, known, self._acceleration)
                 self.delay = delay
         self._known += 1
-        self._delays.add(delay if delay > self._negligible else 0.0)
+        self._delays.append(delay if delay > self._negligible else 0.0)
         self._followed = hold
         self._between = []
 
@@ -307,7 +308,7 @@ class RotorFeedback:
     @property
     def _negligible(self) -> float:
         """Delay up to which a command counts as in time [s]."""
-        spacing = self._gaps.quantile(0.0) if self._gaps else 0.0
+        spacing = min(self._gaps, default=0.0)
         return max(_NEGLIGIBLE, _SPACINGS * spacing)
 
     def _overdue(self, due: list[int], time: float) -> None:

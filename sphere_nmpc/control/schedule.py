@@ -143,7 +143,7 @@ class Schedule:
 
     def _lead(self) -> float:
         """Return the predicted delay of a command behind its instant [s, control time]."""
-        expected = self._took.quantile(1.0) if self._took else 0.0
+        expected = max(self._took, default=0.0)
         if expected < _NEGLIGIBLE * self._period:
             return 0.0
         return min(expected, PLANNING_SHARE * self._period)
@@ -174,7 +174,7 @@ class Schedule:
 
     def completed(self, duration: float, solved: bool) -> None:
         """Record a plan that took `duration` from its request to its command [s, wall]."""
-        self._took.add(self._late + duration * (self._watch.pace or 1.0))
+        self._took.append(self._late + duration * (self._watch.pace or 1.0))
         self.starting = self.starting and not solved
 
     def request(self, now: float) -> PlanRequest:

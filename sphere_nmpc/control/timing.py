@@ -155,8 +155,8 @@ class MissedSamples:
             return
         if self._last is not None:
             gained = missed - missed_then
-            self._shares.add(gained / max(1, gained + used - used_then))
-            self._spans.add(wall - then)
+            self._shares.append(gained / max(1, gained + used - used_then))
+            self._spans.append(wall - then)
         self._last = (wall, used, missed)
         lasts = bool(self.share) or (self._shares.is_full and self._shares.quantile(0.0) > 0.0)
         self.share = self._shares.mean if lasts and self._shares.mean >= _MANY else 0.0

@@ -10,8 +10,8 @@ field by field: with objects a pose or a trajectory of ten knots takes ten times
 Recordings are read in the same way. `read` reads a message of any machine as the record of its
 type, with its fields as they are, unchecked.
 
-What cannot be read or used raises an `InvalidStateError`, where it is a pose, or an
-`InvalidInputError`.
+What cannot be read raises an `InvalidInputError`, a pose that cannot be used an
+`InvalidStateError`.
 """
 
 import struct

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rclpy.node import Node
 
-from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -221,13 +221,16 @@ class Judge:
 
     def pose(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a pose of the simulator, unless it comes late, from a slow sensor."""
-        stamp = read(raw, Pose).stamp
-        if stamp < self.pose_stamp:
-            return
+        with suppress(InvalidInputError):  # sent in the fuzzing
+            stamp = read(raw, Pose).stamp
+            if stamp >= self.pose_stamp:
+                self._newest_pose(raw, stamp)
+
+    def _newest_pose(self, raw: bytes, stamp: int) -> None:
         self.pose_stamp, self._spacing, self.state = stamp, stamp - self.pose_stamp, None
         try:
             self.state = pose_of_message(raw)
-        except InvalidStateError as error:
+        except InvalidValueError as error:
             if not self.is_lenient:  # otherwise it may have been pushed away too far
                 self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
             return
@@ -260,7 +263,7 @@ class Judge:
         try:
             stamp = read(raw, Trajectory).stamp
             hold, _ = hold_and_stamp(raw, 0, stamp)  # relative to its stamp, hence exact
-        except (InvalidStateError, InvalidInputError) as error:
+        except InvalidValueError as error:
             self.limits.broken.append(f"rotor_trajectory is wrong: {error}")
             return
         self.limits.sent(hold)
@@ -279,7 +282,7 @@ class Judge:
 
     def delivered(self, raw: bytes) -> None:
         """Take a trajectory that reaches the drives, of times on the simulator's clock."""
-        with suppress(InvalidStateError, InvalidInputError):  # reported when it was sent
+        with suppress(InvalidValueError):  # reported when it was sent
             # Between two poses time is known no better than to their spacing.
             latest = (self.pose_stamp + self._spacing) / NANOSECONDS
             self.limits.delivered(hold_and_stamp(raw, 0)[0], latest)
@@ -294,7 +297,7 @@ class Judge:
 
     def confirmed(self, raw: bytes) -> None:
         """Take the goal in force, as far as it can be read."""
-        with suppress(InvalidStateError):
+        with suppress(InvalidValueError):
             self.goal = pose_of_message(raw)
 
 

@@ -206,13 +206,13 @@ class ControllerReports:
         """
         self.ticks += 1
         self._decision, self._is_outdated = decision, False
-        self._tick_times.add(duration)
-        self._gaps.add(wall - self._last_tick)
+        self._tick_times.append(duration)
+        self._gaps.append(wall - self._last_tick)
         self._last_tick = wall
         plan, solved, mode = decision.plan, decision.solved, decision.conditions[0].kind
         if solved:
             if decision.is_new:
-                self._solve_times.add(plan.solve_time)
+                self._solve_times.append(plan.solve_time)
         elif mode is Kind.FALLBACK:
             self._fault_log.report(Kind.FALLBACK.log, plan.message)
         self._status_values.update(decision, time)

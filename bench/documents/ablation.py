@@ -4,6 +4,7 @@
 
     python bench/documents/ablation.py strategy                 # all numbers, half an hour
     python bench/documents/ablation.py estimator push tilt=10   # some, one to a given value
+    python bench/documents/ablation.py constants strategy.time_optimal.guide:_BEYOND=0.0
 
 A number is changed by a factor that is large for it, and the runs of the studies that it matters
 for are made as with the defaults. For each study the mean change of the settling time is printed
@@ -14,10 +15,14 @@ slight change of a number of the search, which leads to other guesses.
 import argparse
 import ast
 import dataclasses
+import importlib
+import sys
 import time
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -36,10 +41,29 @@ from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.perturbation import DisturbanceDraws
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.single_run import run_scenario
+from sphere_sim.study.single_run import floor_of, run_scenario
 from sphere_sim.study.workers import cores
 
-Numbers = TimeOptimalSettings | EstimatorSettings
+
+@dataclass(frozen=True)
+class Constants:
+    """Constants of modules that have other values, by ``module:NAME`` in `sphere_nmpc`."""
+
+    changed: tuple[tuple[str, Any], ...] = ()
+
+    def apply(self, patches: ExitStack) -> None:
+        """Change them wherever they were imported, but for defaults of parameters."""
+        for word, value in self.changed:
+            place, name = word.split(":")
+            default = getattr(importlib.import_module(f"sphere_nmpc.{place}"), name)
+            for module in list(sys.modules.values()):
+                if module.__name__.startswith("sphere_nmpc.") and (
+                    getattr(module, name, None) is default
+                ):
+                    patches.enter_context(patch.object(module, name, value))
+
+
+Numbers = TimeOptimalSettings | EstimatorSettings | Constants
 
 NEVER = 1.5
 """Settling time of a run that does not settle [of its length]."""
@@ -70,7 +94,9 @@ class Study:
     @property
     def scenarios(self) -> list[Scenario]:
         """Scenarios with their disturbances."""
-        drawn = draw_scenarios(self.runs, self.seed, self.kind)
+        given = self.conditions
+        floor, _ = floor_of(given.floor, given.robot.shell_radius)
+        drawn = draw_scenarios(self.runs, self.seed, self.kind, floor)
         return [self.draws.applied_to(scenario) for scenario in drawn]
 
     @property
@@ -102,6 +128,8 @@ NOISY_PUSHED = Study(
 NOT_GIVEN = Study("noise not given", 4, 1, _NOISE, loose=True)
 WEAK = Study("weak drives", 6, 1, _CONTACT + "rigid_body.torque_limit=2.4")
 FAR = Study("far", 8, 1, "", "far", percent=0.0, duration=100.0)
+_MAP_FILE = Path(__file__).resolve().parents[2] / "config" / "maps" / "two_rooms.yaml"
+MAP = Study("map", 12, 1, f"floor.map_file={_MAP_FILE}", percent=0.0, duration=40.0)
 _MOMENTUM, _NOISES = (PUSHED, SLOPE), (DIFFUSING, NOISY, NOISY_PUSHED)
 _ESTIMATOR = (WRONG, PUSHED, SLIPPERY, SLOPE, DIFFUSING, NOISY, NOT_GIVEN, WEAK)
 
@@ -147,12 +175,18 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
             "most_outliers": 0,
         }.items()
     },
+    Constants: {},
 }
 """Other values of the numbers, and the studies that are made with them.
 
 `search_ahead` and `longest_search` have no effect without a worker, and a study has none."""
+OF_CONSTANTS: dict[str, Studies] = {
+    "strategy": (EXACT, *_MOMENTUM, MAP, FAR), "floor": (MAP,), "estimation": _ESTIMATOR,
+    "control": (EXACT, *_MOMENTUM, *_NOISES), "solver": (EXACT, *_MOMENTUM),
+}
+"""Studies that are made with another constant of a module, by package."""
 KINDS: dict[str, type[Numbers]] = {
-    "strategy": TimeOptimalSettings, "estimator": EstimatorSettings,
+    "strategy": TimeOptimalSettings, "estimator": EstimatorSettings, "constants": Constants,
 }
 
 
@@ -174,10 +208,11 @@ def measured(
     of_estimator = estimator.TABLE_1_NUMBERS
     if isinstance(numbers, EstimatorSettings):
         of_estimator = numbers
-    with (
-        patch.object(controller, "make_strategy", tuned),
-        patch.object(estimator, "TABLE_1_NUMBERS", of_estimator),
-    ):
+    with ExitStack() as patches:
+        patches.enter_context(patch.object(controller, "make_strategy", tuned))
+        patches.enter_context(patch.object(estimator, "TABLE_1_NUMBERS", of_estimator))
+        if isinstance(numbers, Constants):
+            numbers.apply(patches)
         began = time.process_time()
         found = run_scenario(conditions, scenario).results.get(metric)
         return float(found) if isinstance(found, float) else np.nan, time.process_time() - began
@@ -220,6 +255,9 @@ def variants(kind: type[Numbers], words: Iterable[str]) -> list[tuple[str, Any, 
     known, found = CHANGED[kind], list[tuple[str, Any, Studies]]()
     for word in words or known:
         name, has_value, text = word.partition("=")
+        if kind is Constants and ":" in name and has_value:
+            found.append((name, ast.literal_eval(text), OF_CONSTANTS[name.split(".")[0]]))
+            continue
         if name not in known:
             raise ValueError(f"{name}: no number of {kind.__name__}")
         values, studies = known[name]
@@ -252,9 +290,10 @@ def main() -> None:
         "mean change of the settling time (processor time over the default's)",
     ), flush=True)
     for name, value, studies in wanted:
-        found = settling(dataclasses.replace(defaults, **{name: value}), studies, given.jobs)
+        one = {"changed": ((name, value),)} if given.kind == "constants" else {name: value}
+        found = settling(dataclasses.replace(defaults, **one), studies, given.jobs)
         cells = (compared(study, runs, before[study]) for study, runs in found.items())
-        default = getattr(defaults, name)
+        default = getattr(defaults, name, "")
         print(row(f"`{name}`", default, value, "; ".join(cells)), flush=True)
 
 

@@ -41,12 +41,14 @@ _WORTH_IT = 0.7
 """Share of the distance of the farthest place in sight that one with more room has to have."""
 _BEYOND = 1.5
 """Distance [Rs] of a local goal beyond the place in sight: motions are not straight."""
-_FARTHEST, _NEAREST = 14.0, 0.15
-"""Distances of a local goal on a route with corners [Rs]."""
+_FARTHEST = 14.0
+"""Largest distance of a local goal on a route with corners [Rs]."""
 _CANDIDATES = 24
 """Number of places among which a local goal is chosen."""
 _LENGTHS = 0.1, 0.3, 0.75, 1.75, 3.0, 5.0, 10.0
-"""Lengths of the lines that are tried [Rs]."""
+"""Lengths of the lines that are tried [Rs]. Local goals are no nearer than the shortest one, and by
+its length the way left at the end of a part has to be less than where the sphere has last rested:
+there are then finitely many rests on the way to a goal."""
 _LINES = 6
 """Lines to a narrow place at most."""
 _OPEN, _NARROW = 0.8, 0.2
@@ -54,9 +56,6 @@ _OPEN, _NARROW = 0.8, 0.2
 below which it hardly does."""
 _REST_COSTS = 1.5
 """Time of the rest of a route, over that of rolling it without a stop: there will be others."""
-_LEAST_GAIN = 0.1
-"""Length [Rs] by which the way left at the end of a part has to be less than where the sphere has
-last rested: there are then finitely many rests on the way to a goal."""
 
 
 class Aim(NamedTuple):
@@ -160,10 +159,10 @@ def _aim_at(situation: Situation, place: Vector, detour: float = 0.0) -> Aim:
 def _place_on(path: Vector, situation: Situation, failed: int) -> Vector:
     """Return the place on the path of a route that is aimed at, shape (2,) [m]."""
     place, radius, near = situation.state[POSITION], situation.radius, 0.5**failed
-    reach = max(_NEAREST, _FARTHEST * near) * radius
+    reach = max(_LENGTHS[0], _FARTHEST * near) * radius
     straight = float(np.linalg.norm(situation.goal[POSITION] - place))
     if failed and straight < reach:
-        reach = max(_NEAREST * radius, near * straight)
+        reach = max(_LENGTHS[0] * radius, near * straight)
     away: Vector = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES, dtype=np.float64)
     targets = along(path, away)
     needed, farthest, chosen = needed_distance(situation, Margin.FOUND), 0.0, float(away[0])
@@ -201,7 +200,7 @@ def leads_on(situation: Situation, rested: Vector, place: Vector) -> bool:
     Both are of shape (2,) [m].
     """
     route = route_of(situation)
-    return route.length(place) <= route.length(rested) - _LEAST_GAIN * situation.radius
+    return route.length(place) <= route.length(rested) - _LENGTHS[0] * situation.radius
 
 
 def line_on(situation: Situation, solver: ArrivalSolver, rested: Vector) -> Plan | None:

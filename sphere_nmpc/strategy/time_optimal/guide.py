@@ -46,9 +46,11 @@ _FARTHEST = 14.0
 _CANDIDATES = 24
 """Number of places among which a local goal is chosen."""
 _LENGTHS = 0.1, 0.3, 0.75, 1.75, 3.0, 5.0, 10.0
-"""Lengths of the lines that are tried [Rs]. Local goals are no nearer than the shortest one. By its
-length the way left at the end of a part has to be less than where the sphere has last rested: there
-are then finitely many rests on the way to a goal."""
+"""Lengths of the lines that are tried [Rs]. Local goals are no nearer than the shortest one.
+
+By its length the way left at the end of a part has to be less than where the sphere has last
+rested: there are then finitely many rests on the way to a goal.
+"""
 _LINES = 6
 """Lines to a narrow place at most."""
 _OPEN, _NARROW = 0.8, 0.2

@@ -47,7 +47,7 @@ _COLUMNS = {
 def viewed(nodes: ProcessSet, viewer: str) -> Iterator[None]:
     """Run a viewer beside the nodes: none, an idle one, or one whose page is open."""
     tests = Path(__file__).parents[1] / "test"
-    sys.path += map(str, (tests / "support", tests / "sphere_sim" / "viewer"))
+    sys.path += map(str, (tests / "support", tests / "browser"))
     from browser import Browser, find_browser
 
     with ExitStack() as stack:

@@ -146,7 +146,7 @@ class MissedSamples:
     @property
     def span(self) -> float:
         """Wall time over which the share is taken [s]."""
-        return len(self._spans) * self._spans.mean
+        return sum(self._spans)
 
     def read(self, wall: float, used: int, missed: int) -> None:
         """Take the numbers of instants with and without a plan so far, at wall time `wall` [s]."""

@@ -225,7 +225,7 @@ class ControllerReports:
         self._last_status = (time, mode)
         self._log_failures(mode)
         self._warnings = warnings = self._find_warnings(decision)
-        self._lasting.update({one.name: one.text for one in warnings if decision.solved})
+        self._lasting.update({one.name: one.text for one in warnings} if solved else {})
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
         self._plan_message = plan.message or plan.status.value
         self._publish_status(mode, warnings, self._plan_message, self._values)

@@ -17,7 +17,7 @@ What cannot be read raises an `InvalidInputError`, a pose that cannot be used an
 import struct
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,11 +182,12 @@ TYPES: dict[Any, str] = {
 """Types of messages by the records of those that are read of a recording."""
 RECORDS = {msgtype: record for record, msgtype in TYPES.items()}
 """These records by types of messages."""
-_TEXT, _TIME = "text", "time"
-"""Kinds of fields: a string; a time, as whole nanoseconds. The others are numbers in letters of
-`struct`, read as a tuple. A list has any number of its kind; a tuple is a record of kinds."""
-_HEADS = {_TEXT: "I", _TIME: "iI"}
+_TEXT, _TIME, _ARRAY, _LIST = "text", "time", "array", "list"
+_HEADS = {_TEXT: "I", _TIME: "iI", _ARRAY: "I", _LIST: "I"}
 """Numbers that fields of these kinds begin with."""
+_Field: TypeAlias = tuple[str, int, struct.Struct, Any]
+"""How a field is read: its kind, the alignment [bytes] and the reader of the numbers that it
+begins with, and the type of the numbers of an array or the fields of a list's record."""
 _NO_NUMBERS: Vector = np.empty(0)
 _HEADER = _TIME, _TEXT
 _STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
@@ -201,14 +202,40 @@ _LAYOUTS: dict[Any, tuple[Any, ...]] = {
     OccupancyGrid: (*_HEADER, _TIME, "f", "2I", "7d", ["b"]),
     Numbers: ([(_TEXT, "2I")], "I", ["d"]),
 }
-"""Kinds of the fields of records, in the order in which a message has them."""
+"""Kinds of the fields of records, in the order in which a message has them: a string; a time, as
+whole nanoseconds; numbers in letters of `struct`, read as a tuple. A list has any number of its
+kind; a tuple is a record of kinds."""
+
+
+def _compiled(order: str, kinds: Sequence[Any]) -> list[_Field]:
+    """Return how to read fields of these kinds, of numbers in this order of bytes."""
+    layout: list[_Field] = []
+    for given in kinds:
+        kind: Any = given
+        item: Any = None
+        if isinstance(given, list):
+            (of,) = given
+            if of is not _TEXT and isinstance(of, str):
+                kind, item = _ARRAY, np.dtype(order + of)
+            else:
+                kind, item = _LIST, _compiled(order, of if isinstance(of, tuple) else (of,))
+        head = struct.Struct(order + _HEADS.get(kind, kind))
+        layout.append((kind, struct.calcsize("<" + head.format[-1]), head, item))
+    return layout
+
+
+_COMPILED = {
+    first: {record: _compiled(order, kinds) for record, kinds in _LAYOUTS.items()}
+    for first, order in _ORDERS.items()
+}
+"""How to read messages by the first bytes of their encapsulation and their record."""
 _Record = TypeVar("_Record")
 
 
 def fields(raw: bytes, record: type) -> tuple[Any, ...]:
     """Return the fields of a serialised message in the order of the record of its type."""
     try:
-        return _fields(raw, _BEGIN, _ORDERS[raw[:2]], _LAYOUTS[record])[0]
+        return _fields(raw, _BEGIN, _COMPILED[raw[:2]][record])[0]
     except (KeyError, ValueError, struct.error):
         raise InvalidInputError(record.__name__, raw, "a message of this type") from None
 
@@ -336,16 +363,13 @@ def floor_message(grid: Grid | None, stamp: int, frame: str) -> bytes:
     return head + (grid.occupied.view(np.int8) * np.int8(100)).tobytes()
 
 
-def _fields(
-    raw: bytes, at: int, order: str, layout: Sequence[Any]
-) -> tuple[tuple[Any, ...], int]:
+def _fields(raw: bytes, at: int, layout: list[_Field]) -> tuple[tuple[Any, ...], int]:
     """Return fields of a message from a place on, and the place behind them."""
     values: list[Any] = []
-    for kind in layout:
-        size, packed = _numbers(order, _HEADS.get(kind, kind) if isinstance(kind, str) else "I")
+    for kind, size, head, item in layout:
         at += (_BEGIN - at) % size
-        numbers = packed.unpack_from(raw, at)
-        at += packed.size
+        numbers = head.unpack_from(raw, at)
+        at += head.size
         value: Any = numbers
         if kind is _TIME:
             value = numbers[0] * NANOSECONDS + numbers[1]
@@ -355,31 +379,19 @@ def _fields(
                 raise ValueError(numbers)
             value = text.removesuffix(b"\x00").decode(errors="replace")
             at += len(text)
-        elif isinstance(kind, list):
-            (count,), (item,) = numbers, kind
-            if isinstance(item, tuple):
-                value = []
-                for _ in range(count):
-                    record, at = _fields(raw, at, order, item)
-                    value.append(record)
-            elif item is _TEXT:
-                texts, at = _fields(raw, at, order, (item,) * min(count, len(raw)))
-                value = list(texts)
-            elif count:
-                dtype = np.dtype(order + item)
-                at += (_BEGIN - at) % dtype.itemsize
-                value = np.frombuffer(raw, dtype, count, at)
+        elif kind is _ARRAY:
+            value = _NO_NUMBERS
+            if numbers[0]:
+                at += (_BEGIN - at) % item.itemsize
+                value = np.frombuffer(raw, item, numbers[0], at)
                 at += value.nbytes
-            else:
-                value = _NO_NUMBERS
+        elif kind is _LIST:
+            value = []
+            for _ in range(numbers[0]):
+                record, at = _fields(raw, at, item)
+                value.append(record if len(record) > 1 else record[0])
         values.append(value)
     return tuple(values), at
-
-
-@cache
-def _numbers(order: str, letters: str) -> tuple[int, struct.Struct]:
-    """Return the alignment [bytes] of numbers, and how to read them."""
-    return struct.calcsize(f"<{letters[-1]}"), struct.Struct(order + letters)
 
 
 @cache

@@ -34,3 +34,10 @@ class InvalidStateError(InvalidValueError):
 
 class InvalidInputError(InvalidValueError):
     """Rotor speeds that are not finite, or knots whose times do not increase."""
+
+
+def reason_of(error: Exception) -> str:
+    """Return the message of an error; that of another package has its type and is foreign."""
+    if isinstance(error, SphereNmpcError):
+        return str(error)
+    return f"{type(error).__name__} {shown(str(error))}"

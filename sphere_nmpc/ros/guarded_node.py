@@ -11,27 +11,33 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock as NodeClock
 from rclpy.clock_type import ClockType
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.task import Future as RosFuture
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
-from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError
+from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError, reason_of
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
-from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.cdr import clock_stamp
 from sphere_nmpc.ros.messages import message_object
+from sphere_nmpc.ros.parameters import Parameters
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For topics of which only the newest message counts: a lost one does not delay it."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """For topics whose last message is sent to later subscribers, too."""
 _TYPE_HASH = re.compile("RIHS01_[0-9a-f]{64}")
+LONGEST_WAIT = 0.1
+"""Longest wait in the middleware [s]; not every executor can be woken by a signal."""
 FAILED = "callback failed"
 """Kind of fault of a timer, or of work beside the callbacks, that raised an error."""
 
@@ -44,13 +50,24 @@ class GuardedNode(Node):
     traceback, and has left out the messages that had arrived behind. So they are caught where
     rclpy is given the callback, which includes those of rclpy itself, for the clock and for
     parameters. Messages are read here too, as rclpy would read them outside the callback.
+
+    It may have work of its own beside callbacks, and final messages to send; see `lifetime.run`.
+    `parameter_overrides` are parameters as given on a command line, for use within a program.
     """
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    uses_events_executor = False
+    """Whether rclpy's events executor is preferred, for callbacks at a high rate."""
+
+    def __init__(self, name: str, parameter_overrides: list[Parameter] | None = None) -> None:
         # Before the node is made, as rclpy creates services with it.
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
-        super().__init__(*arguments, **options)
+        super().__init__(
+            name, parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        self.parameters = Parameters(self)
+        """Where the node declares its settings."""
         for service in self.services:
             if service.srv_type is GetTypeDescription:  # rclpy makes this one in another way
                 described = _for_valid_hash(service.callback)
@@ -107,8 +124,15 @@ class GuardedNode(Node):
 
         See `rclpy.node.Node.create_service`. A callback that returns a generator of futures is
         continued whenever one is done, and answers with what it returns; futures are to be done by
-        the executor of the node, which goes on with other callbacks until then.
+        the executor of the node, which goes on with other callbacks until then. The services of
+        rclpy that set parameters answer by `Parameters.answer`.
         """
+        if srv_type in (SetParameters, SetParametersAtomically):
+            set_now = callback
+
+            def callback(request: Any, response: Any) -> Any:
+                return self.parameters.answer(set_now, request, response)
+
         answer = self._answering(srv_name, callback)
         service = super().create_service(srv_type, srv_name, answer, **options)
         send = service.send_response
@@ -123,6 +147,18 @@ class GuardedNode(Node):
 
         service.send_response = send_when_known  # type: ignore[method-assign]
         return service
+
+    @property
+    def thread_priority(self) -> int:
+        """Real-time priority wanted for the node's threads; 0 is ordinary scheduling."""
+        return 0
+
+    def work(self, executor: Executor) -> None:
+        """Do one piece of work; called repeatedly until the node is requested to end."""
+        spin_for(executor, LONGEST_WAIT)
+
+    def finish(self) -> None:
+        """Send final messages; publishers still work, and signals no longer interrupt."""
 
     def guarded(self, kind: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Return a callback that logs errors as a fault of this kind rather than raising them."""
@@ -155,6 +191,19 @@ class GuardedNode(Node):
     def report(self, kind: str, error: Exception) -> None:
         """Log an error as a fault of this kind; one of another package with its place."""
         self._fault_log.report(kind, f"{reason_of(error)}{_place(error)}")
+
+
+def spin_for(executor: Executor, duration: float) -> None:
+    """Serve callbacks for a wall time [s]; the single-threaded executor serves one at most.
+
+    Between two callbacks the events executor then does not return to Python, which takes as long
+    as receiving a message; each call leaks 32 bytes within rclpy, so it is not for short waits.
+    The other one could not be woken before the time has passed.
+    """
+    if isinstance(executor, SingleThreadedExecutor):
+        executor.spin_once(timeout_sec=duration)
+    else:
+        executor.spin_until_future_complete(RosFuture(), timeout_sec=duration)
 
 
 def _driven(
@@ -191,13 +240,6 @@ def _for_valid_hash(callback: Callable[..., Any]) -> Callable[..., Any]:
         return callback(request, response)
 
     return answer
-
-
-def reason_of(error: Exception) -> str:
-    """Return the message of an error; that of another package has its type and is foreign."""
-    if isinstance(error, SphereNmpcError):
-        return str(error)
-    return f"{type(error).__name__} {shown(str(error))}"
 
 
 def _place(error: Exception) -> str:

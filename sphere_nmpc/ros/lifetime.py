@@ -17,24 +17,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import rclpy
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.parameter import Parameter
-from rclpy.service import Service
-from rclpy.task import Future
 
 from sphere_nmpc.child import END_SIGNALS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.network import network_reach
-from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
 
-_LONGEST_WAIT = 0.1
-"""Longest wait in the middleware [s]; not every executor can be woken by a signal."""
 _AFTER_FAILURE = 1e-3
 """Pause after work that failed [s], which may fail each time; shorter than a control tick."""
 _SWITCH_INTERVAL = 5e-4
@@ -53,49 +45,7 @@ _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 """In a namespace a robot has its own clock; a remapping given by the user takes precedence."""
 
 
-class RunnableNode(GuardedNode):
-    """Node with work of its own beside callbacks, or with final messages to send.
-
-    `parameter_overrides` are parameters as given on a command line, for use within a program.
-    """
-
-    uses_events_executor = False
-    """Whether rclpy's events executor is preferred, for callbacks at a high rate."""
-
-    def __init__(self, name: str, parameter_overrides: list[Parameter] | None = None) -> None:
-        super().__init__(
-            name, parameter_overrides=parameter_overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        self.parameters = Parameters(self)
-        """Where the node declares its settings."""
-
-    def create_service(
-        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
-    ) -> Service:
-        """Create a service; those of rclpy that set parameters answer by `Parameters.answer`."""
-        if srv_type in (SetParameters, SetParametersAtomically):
-            set_now = callback
-
-            def callback(request: Any, response: Any) -> Any:
-                return self.parameters.answer(set_now, request, response)
-
-        return super().create_service(srv_type, srv_name, callback, **options)
-
-    @property
-    def thread_priority(self) -> int:
-        """Real-time priority wanted for the node's threads; 0 is ordinary scheduling."""
-        return 0
-
-    def work(self, executor: Executor) -> None:
-        """Do one piece of work; called repeatedly until the node is requested to end."""
-        spin_for(executor, _LONGEST_WAIT)
-
-    def finish(self) -> None:
-        """Send final messages; publishers still work, and signals no longer interrupt."""
-
-
-def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about: str) -> int:
+def run(make_node: Callable[[], GuardedNode], args: Sequence[str] | None, about: str) -> int:
     """Run a node until a signal asks it to end, see `END_SIGNALS`, then let it finish.
 
     `make_node` is called with rclpy initialised, `args` are those after the program's name,
@@ -124,7 +74,7 @@ def run(make_node: Callable[[], RunnableNode], args: Sequence[str] | None, about
         rclpy.try_shutdown()
 
 
-def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
+def _run_until_signal(make_node: Callable[[], GuardedNode]) -> int:
     with StopRequest() as stop:
         try:
             node = make_node()
@@ -137,7 +87,7 @@ def _run_until_signal(make_node: Callable[[], RunnableNode]) -> int:
             sys.setswitchinterval(_SWITCH_INTERVAL)
         executor = _make_executor(node.uses_events_executor)
         if isinstance(executor, SingleThreadedExecutor):
-            # The events executor has no guard conditions; it returns after `_LONGEST_WAIT`.
+            # The events executor has no guard conditions; it returns after `LONGEST_WAIT`.
             stop.wake = node.create_guard_condition(lambda: None).trigger
         executor.add_node(node)
         node.get_logger().info(network_reach())
@@ -210,19 +160,6 @@ class StopRequest:
             if self.wake is not None:
                 self.wake()
                 return
-
-
-def spin_for(executor: Executor, duration: float) -> None:
-    """Serve callbacks for a wall time [s]; the single-threaded executor serves one at most.
-
-    Between two callbacks the events executor then does not return to Python, which takes as long
-    as receiving a message; each call leaks 32 bytes within rclpy, so it is not for short waits.
-    The other one could not be woken before the time has passed.
-    """
-    if isinstance(executor, SingleThreadedExecutor):
-        executor.spin_once(timeout_sec=duration)
-    else:
-        executor.spin_until_future_complete(Future(), timeout_sec=duration)
 
 
 def _make_executor(by_events: bool) -> Executor:

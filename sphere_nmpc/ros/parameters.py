@@ -18,10 +18,9 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.errors import InvalidParameterError, reason_of
 from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.quantity import Quantity, quantities
-from sphere_nmpc.ros.guarded_node import reason_of
 
 S = TypeVar("S")
 

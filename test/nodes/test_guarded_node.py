@@ -15,7 +15,8 @@ from std_srvs.srv import SetBool
 from type_description_interfaces.srv import GetTypeDescription
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.ros.lifetime import RunnableNode, _make_executor, spin_for
+from sphere_nmpc.ros.guarded_node import GuardedNode, spin_for
+from sphere_nmpc.ros.lifetime import _make_executor
 
 DAMAGED = b"\x00\x01\x00\x00\x07"
 
@@ -26,7 +27,7 @@ def pose(number: int) -> PoseStamped:
     return message
 
 
-class Wanting(RunnableNode):
+class Wanting(GuardedNode):
     """Node each callback of which raises on demand."""
 
     def __init__(self) -> None:

@@ -19,7 +19,6 @@ from rclpy.qos import QoSProfile
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.lifetime import RunnableNode
 from sphere_sim.ros.session.process_set import verb_command
 
 
@@ -57,7 +56,7 @@ class Graph:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.probe)
         self._nodes: list[Node] = [self.probe]
-        self._busy: dict[RunnableNode, SingleThreadedExecutor] = {}
+        self._busy: dict[GuardedNode, SingleThreadedExecutor] = {}
         self._apart: list[Node] = []
 
     def close(self) -> None:
@@ -77,7 +76,7 @@ class Graph:
             node._fault_log._period = math.inf  # logged once, however long a busy machine takes
             self._watch(node)
         executor = self._executor
-        if isinstance(node, RunnableNode) and type(node).work is not RunnableNode.work:
+        if isinstance(node, GuardedNode) and type(node).work is not GuardedNode.work:
             # A change of time-out makes an executor forget which callbacks it has found ready and
             # begin again with its first node: in one executor the last nodes might have no turn.
             executor = self._busy[node] = SingleThreadedExecutor()

@@ -43,8 +43,8 @@ from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
-from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
-from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode
+from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
@@ -63,7 +63,7 @@ _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
 
-class ControllerNode(RunnableNode):
+class ControllerNode(GuardedNode):
     """Node that passes messages to a `Schedule` and a `Controller`, and publishes commands."""
 
     uses_events_executor = True

@@ -27,8 +27,8 @@ from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
-from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
-from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode
+from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.messages import message_object
 from sphere_nmpc.ros.navigator.action_server import GoalServer
 from sphere_nmpc.ros.navigator.requests import (
@@ -75,7 +75,7 @@ class _Accepted:
             yield self.stages[self.stage(number)]
 
 
-class NavigatorNode(RunnableNode):
+class NavigatorNode(GuardedNode):
     """Node that passes goals of actions to the controller, by a `GoalLink`."""
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:

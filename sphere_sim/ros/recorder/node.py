@@ -38,7 +38,8 @@ from sphere_nmpc.ros.graph_monitor import (
     other_types,
     publishers_of,
 )
-from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.lifetime import run
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
 from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.recorder_settings import (
@@ -71,7 +72,7 @@ class TopicSubscription(NamedTuple):
     made_for: tuple[str, ReliabilityPolicy, DurabilityPolicy]
 
 
-class RecorderNode(RunnableNode):
+class RecorderNode(GuardedNode):
     """Recorder of topics; see the module for its interface, and `SimulatorNode` for the argument.
 
     Raises

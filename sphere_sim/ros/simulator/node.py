@@ -31,8 +31,8 @@ from sphere_nmpc.ros.cdr import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
-from sphere_nmpc.ros.guarded_node import LATCHED
-from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
+from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
 from sphere_sim.ros.simulator.controllers import Controllers
 from sphere_sim.ros.simulator.receivers import CommandReceiver, PushReceiver
@@ -63,7 +63,7 @@ _CLOCK_JUMP = 1_000_000_000
 """Jump of the system clock that the stamps follow [ns]; a smaller one counts as drift."""
 
 
-class SimulatorNode(RunnableNode):
+class SimulatorNode(GuardedNode):
     """Node that advances a `Simulator` with the wall clock or in lockstep with the controller.
 
     Parameters

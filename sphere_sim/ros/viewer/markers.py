@@ -17,7 +17,8 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from sphere_nmpc.model.state import POSITION, Vector
-from sphere_nmpc.ros.lifetime import RunnableNode, run
+from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
@@ -33,7 +34,7 @@ _SPACING = 1.0 / 15.0
 """Least distance of two points of the path over the radius."""
 
 
-class MarkerNode(RunnableNode):
+class MarkerNode(GuardedNode):
     """Node that publishes markers while they have a subscriber."""
 
     def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:

@@ -24,7 +24,8 @@ from sphere_nmpc.control.goal_client import Ending, NavigatorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
-from sphere_nmpc.ros.lifetime import RunnableNode, lower_priority, run
+from sphere_nmpc.ros.guarded_node import GuardedNode
+from sphere_nmpc.ros.lifetime import lower_priority, run
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.recording.run import setup_text
@@ -171,7 +172,7 @@ class TopicSource:
         )
 
 
-class ViewerNode(RunnableNode):
+class ViewerNode(GuardedNode):
     """Node that shows frames of live topics at a constant rate, at `port` or another free one."""
 
     def __init__(self, port: int) -> None:

@@ -147,7 +147,9 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sphere_sim", "sphere_sim.*"]),
-    package_data={"": ["py.typed", "*.c", "*.h", "*.css", "*.html", "*.js", "*.csv", "*.xml"]},
+    package_data={
+        "": ["py.typed", "*.c", "*.h", "*.css", "*.html", "*.js", "*.csv", "*.npz", "*.xml"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -10,6 +10,7 @@ NumPy arrays. The exit status is 1 where a count exceeds that of walk.json.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -18,6 +19,8 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from types import FrameType
@@ -74,26 +77,26 @@ _BETWEEN = 0.15
 _START, _GOAL = PAPER_CASES[1].start, PAPER_CASES[1].goal
 
 
+@dataclass
 class Walk:
-    """Calls and records of one instant, and the time that it took [thousands of operations]."""
+    """Calls and records of one instant, and the time that it took [thousands of operations].
 
-    def __init__(self) -> None:
-        self.calls: list[tuple[str, str]] = []
-        self.beside: list[tuple[str, str]] = []
-        """Those of other threads."""
-        self.inner: list[tuple[str, str]] = []
-        """Those of the controller, where a node is walked: how it plans depends on the load."""
-        self.records: set[str] = set()
-        self.time = 0.0
+    Calls of the controller are `inner`, where a node is walked: how it plans depends on the load.
+    """
+
+    calls: list[tuple[str, str]] = field(default_factory=list)
+    inner: list[tuple[str, str]] = field(default_factory=list)
+    records: set[str] = field(default_factory=set)
+    time: float = 0.0
 
     def counts(self) -> list[int]:
         """Return the numbers of calls, functions, files and kinds of records."""
-        calls = self.calls + self.beside
-        return [len(calls), len(set(calls)), len({file for file, _ in calls}), len(self.records)]
+        calls, files = self.calls, {file for file, _ in self.calls}
+        return [len(calls), len(set(calls)), len(files), len(self.records)]
 
     def all(self) -> list[tuple[str, str]]:
         """Return all calls."""
-        return self.calls + self.beside + self.inner
+        return self.calls + self.inner
 
 
 class Meter:
@@ -147,10 +150,7 @@ class Meter:
 
     def note(self, kind: str) -> None:
         """Count what there is of the present walk as one of this kind; it goes on."""
-        part = Walk()
-        part.calls, part.records = list(self._now.calls), set(self._now.records)
-        part.time = self._now.time
-        self.walks[kind].append(part)
+        self.walks[kind].append(deepcopy(self._now))
 
     def end(self, kind: str | None) -> None:
         """End the present walk, which is of this kind; None forgets it."""
@@ -183,9 +183,8 @@ class Meter:
         file, name = frame.f_code.co_filename, frame.f_code.co_name
         if file.startswith(_ROOT):
             if name not in _INLINED:
-                calls = self._now.inner if self._is_inner else self._now.calls
-                if threading.get_ident() != self._main:
-                    calls = self._now.beside
+                is_inner = self._is_inner and threading.get_ident() == self._main
+                calls = self._now.inner if is_inner else self._now.calls
                 name = getattr(frame.f_code, "co_qualname", name)  # from Python 3.11 on
                 calls.append((file[len(_ROOT):], name))
         elif file.startswith("<string>"):
@@ -351,16 +350,12 @@ def _parameters(**values: Any) -> list[Parameter]:
 
 def walk_nodes(counts: bool) -> dict[str, list[Walk]]:
     """Return the walks in running nodes."""
-    with own_domain():
+    with own_domain(), contextlib.ExitStack() as ends:
         rclpy.init(args=[])
-        try:
-            nodes = NodeWalk(counts)
-            try:
-                return nodes.run()
-            finally:
-                nodes.close()
-        finally:
-            rclpy.try_shutdown()
+        ends.callback(rclpy.try_shutdown)
+        nodes = NodeWalk(counts)
+        ends.callback(nodes.close)
+        return nodes.run()
 
 
 def medians(walks: dict[str, list[Walk]]) -> dict[str, list[int]]:

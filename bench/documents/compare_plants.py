@@ -12,28 +12,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import matplotlib
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from plant_runs import (
-    KNOT_PERIOD,
-    KNOTS,
-    ROBOT,
-    STEP,
-    deviation,
-    draw_sequences,
-    run,
-    steps_of,
-)
+from plant_runs import KNOT_PERIOD, STEP, deviation, ramped, run
 from printed_model import PrintedModel
 from tables import header, row
 
 from sphere_nmpc.model.disturbance import GRAVITY
-from sphere_nmpc.model.state import angle_error, position_error
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import Vector, angle_error, position_error
 from sphere_nmpc.model.torque import rotor_acceleration
 from sphere_sim.evaluation.metrics import angle_errors
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -44,6 +37,8 @@ from sphere_sim.world.plant.rolling_plant import RollingPlant
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
+ROBOT = RobotParameters()
+KNOTS = 10
 DEFAULT = RigidBodySettings()
 IDEAL = RigidBodySettings(drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3)
 """Drives without lag or limit, so that only contact and integration differ."""
@@ -53,6 +48,21 @@ SLIPPING = 1e-3
 """Speed of the shell over the floor from which it counts as slipping [m/s]."""
 HEADER = header("plant", "position, median [mm]", "worst", "angle, median [mrad]", "worst",
                 "slipping [% of time]", "cost [ms/s]")
+
+
+class Sequence(NamedTuple):
+    """A start at rest, shape (6,), and the rotor speeds of `ramped`, (steps + 1, 2)."""
+
+    start: Vector
+    speeds: Vector
+
+
+def draw_sequence(seed: int, number: int) -> Sequence:
+    """Draw an orientation uniform on SO(3) and knots uniform in +-u_max."""
+    rng = np.random.default_rng([seed, number])
+    start = np.concatenate(([0.0, 0.0], random_quaternion(rng)))
+    limit = ROBOT.max_rotor_speed
+    return Sequence(start, ramped(rng.uniform(-limit, limit, (KNOTS, 2))))
 
 
 @dataclass(frozen=True)
@@ -106,8 +116,8 @@ class Study:
     """All comparisons on one set of sequences; each method returns Markdown."""
 
     def __init__(self, number: int, seed: int) -> None:
-        self.sequences = draw_sequences(number, seed)
-        self.reference = [run(RollingPlant(ROBOT, s.start), s) for s in self.sequences]
+        self.sequences = [draw_sequence(seed, i) for i in range(number)]
+        self.reference = [run(RollingPlant(ROBOT, s.start), s.speeds) for s in self.sequences]
         self.figure, self.axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
 
     def compare(self, variant: Variant) -> tuple[list[float], np.ndarray]:
@@ -120,7 +130,7 @@ class Study:
         for sequence, ideal in zip(self.sequences, self.reference, strict=True):
             plant.reset(sequence.start)
             states = []
-            for speeds, _ in steps_of(sequence):
+            for speeds in sequence.speeds[1:]:
                 began = time.perf_counter()
                 plant.advance(speeds, STEP)
                 wall += time.perf_counter() - began
@@ -197,7 +207,7 @@ class Study:
         return "\n".join(["### Time step (ideal drives)\n", HEADER, *every, ""])
 
     def erratum(self) -> str:
-        rigid = [run(RigidBodyPlant(ROBOT, s.start, IDEAL), s) for s in self.sequences]
+        rigid = [run(RigidBodyPlant(ROBOT, s.start, IDEAL), s.speeds) for s in self.sequences]
         lines = [
             "### Eq. (12) against the plant with contact (ideal drives)\n",
             header("model", "position, median [mm]", "worst", "angle, median [mrad]", "worst"),
@@ -211,7 +221,7 @@ class Study:
             "Eqs. (7), (12) as printed": lambda s: PrintedModel(ROBOT, s.start, corrected=False),
         }
         for name, make in models.items():
-            runs = [run(make(s), s) for s in self.sequences]
+            runs = [run(make(s), s.speeds) for s in self.sequences]
             pairs = [deviation(a, b) for a, b in zip(runs, rigid, strict=True)]
             position, angle = 1e3 * np.array(pairs).T
             numbers = (of(part) for part in (position, angle) for of in (np.median, np.max))
@@ -241,8 +251,9 @@ class Study:
                 plant = RigidBodyPlant(ROBOT, sequence.start, settings)
                 interval: list[np.ndarray] = []
                 before: np.ndarray = np.zeros(4)
-                for i, (speeds, slope) in enumerate(steps_of(sequence)):
-                    plant.advance(speeds, 0.01)
+                slopes = np.diff(sequence.speeds, axis=0) / STEP
+                for i, (speeds, slope) in enumerate(zip(sequence.speeds[1:], slopes, strict=True)):
+                    plant.advance(speeds, STEP)
                     measured = plant.rotor_torques
                     predicted = eq45(plant.state[2:], plant.rotor_speeds, slope)
                     error = np.abs(np.array(predicted).ravel() - measured)
@@ -280,10 +291,10 @@ class Study:
             ends = []
             for impulse in (0.0, 1.0):
                 plant = RigidBodyPlant(ROBOT, sequence.start, DEFAULT)
-                for i, (speeds, _) in enumerate(steps_of(sequence)):
+                for i, speeds in enumerate(sequence.speeds[1:]):
                     if i == 250:
                         plant.push([impulse, 0.0])
-                    plant.advance(speeds, 0.01)
+                    plant.advance(speeds, STEP)
                 ends.append(plant.state)
             momenta.append(plant.momentum)
             moved.append(position_error(*ends))

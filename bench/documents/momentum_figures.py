@@ -10,11 +10,11 @@ with contact has a stiff contact and ideal drives.
 
 import argparse
 import math
-from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from plant_runs import deviation
+from plant_runs import STEP, deviation, ramped
 from tables import header, row
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, momentum_of_push
@@ -35,8 +35,8 @@ CONTACT = RigidBodySettings(
     drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3, friction=2.0,
     time_step=5e-4, contact_time_constant=1e-3,
 )
-SPEED, KNOT_PERIOD, KNOTS, STEP = 60.0, 0.5, 6, 0.01
-PUSH_TIME = 1.0
+SPEED, KNOTS, PUSH_TIME = 60.0, 6, 1.0
+PUSH_STEP = round(PUSH_TIME / STEP)
 
 
 def draws(push: float = 0.0, slope: float = 0.0, offset: float = 0.0) -> DisturbanceDraws:
@@ -55,24 +55,16 @@ DISTURBANCES = {
 }
 
 
-def steps(seed: int) -> Iterator[tuple[Vector, Vector, bool]]:
-    """Yield rotor speeds at start and end of each step [rad/s] and whether a push is before it."""
-    here: Vector = np.zeros(2)
-    per_knot = round(KNOT_PERIOD / STEP)
-    rng = np.random.default_rng(seed)
-    for knot in range(KNOTS):
-        there = rng.uniform(-SPEED, SPEED, 2)
-        for i in range(per_knot):
-            ends = (here + share / per_knot * (there - here) for share in (i, i + 1))
-            yield next(ends), next(ends), knot * per_knot + i == round(PUSH_TIME / STEP)
-        here = there
+def speeds_of(scenario: Scenario) -> Vector:
+    """Return the rotor speeds at the start and after each step [rad/s], shape (steps + 1, 2)."""
+    return ramped(np.random.default_rng(scenario.seed).uniform(-SPEED, SPEED, (KNOTS, 2)))
 
 
 def plant_states(plant: Plant, scenario: Scenario) -> Vector:
     """Return the states of a plant after each step, shape (steps, 6)."""
     states = []
-    for _, there, is_push in steps(scenario.seed):
-        if is_push and scenario.push is not None:
+    for step, there in enumerate(speeds_of(scenario)[1:]):
+        if step == PUSH_STEP and scenario.push is not None:
             plant.push(scenario.push.impulse)
         plant.advance(there, STEP)
         states.append(plant.state)
@@ -83,10 +75,10 @@ def model_states(scenario: Scenario, disturbance: Disturbance, jump: Vector) -> 
     """Return the states of the model after each step, shape (steps, 9)."""
     states, state = [], without_momentum(scenario.start)
     durations, constants = np.array([STEP]), ROBOT.lumped.as_array()
-    for here, there, is_push in steps(scenario.seed):
-        if is_push:
+    for step, ends in enumerate(pairwise(speeds_of(scenario))):
+        if step == PUSH_STEP:
             state[MOMENTUM] += jump
-        inputs = np.array([here, there])
+        inputs = np.array(ends)
         state = roll_out(state, inputs, durations, constants, disturbance=disturbance)[-1]
         states.append(state)
     return np.array(states)

@@ -9,13 +9,13 @@ import argparse
 import math
 
 import numpy as np
+from plant_runs import deviation, ramped, run
 from tables import header, median_and_worst, row
 
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_sim.evaluation.metrics import angle_errors
-from sphere_sim.world.plant.factory import Plant
+from sphere_nmpc.model.state import Vector
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -54,36 +54,21 @@ ROBOTS = {
 }
 
 
-def states(plant: Plant, knots: np.ndarray, duration: float) -> np.ndarray:
-    """Return the states on ramps of `duration` [s] between rotor speeds, shape (steps, 6)."""
-    found, here = [], np.zeros(2)
-    for there in knots:
-        for i in range(STEPS):
-            plant.advance(here + (i + 1) / STEPS * (there - here), duration / STEPS)
-            found.append(plant.state)
-        here = there
-    return np.array(found)
-
-
-def deviations(robot: RobotParameters, number: int) -> tuple[np.ndarray, np.ndarray]:
+def deviations(robot: RobotParameters, number: int) -> Vector:
     """Return the largest distance [radii] and angle [rad] within each of `number` sequences.
 
     The rotor speeds are uniform in half their range, at which no robot here slips, on the
     shortest ramps allowed.
     """
-    distances, angles = [], []
-    limit = 0.5 * robot.max_rotor_speed
-    ramp = 2.0 * limit / robot.max_rotor_acceleration
+    found, limit = [], 0.5 * robot.max_rotor_speed
+    step = 2.0 * limit / robot.max_rotor_acceleration / STEPS
     for seed in range(number):
         rng = np.random.default_rng([0, seed])
         start = np.concatenate(([0.0, 0.0], random_quaternion(rng)))
-        knots = rng.uniform(-limit, limit, (RAMPS, 2))
-        ideal = states(RollingPlant(robot, start), knots, ramp)
-        contact = states(RigidBodyPlant(robot, start), knots, ramp)
-        apart = np.linalg.norm(ideal[:, :2] - contact[:, :2], axis=1).max()
-        distances.append(apart / robot.shell_radius)
-        angles.append(angle_errors(contact, ideal).max())
-    return np.array(distances), np.array(angles)
+        speeds = ramped(rng.uniform(-limit, limit, (RAMPS, 2)), STEPS)
+        ideal, contact = RollingPlant(robot, start), RigidBodyPlant(robot, start)
+        found.append(deviation(run(contact, speeds, step), run(ideal, speeds, step)))
+    return np.array(found).T / [[robot.shell_radius], [1.0]]
 
 
 def friction_needed(robot: RobotParameters) -> float:

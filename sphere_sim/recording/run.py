@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +42,8 @@ class Solves:
 
     def between(self, start: float, end: float) -> "Solves":
         """Return the solves from `start` until before `end` [s], with times since `start`."""
-        kept = _between(self.times, start - _SAME_INSTANT, end - _SAME_INSTANT)
-        return Solves(
-            self.times[kept] - start, self.durations[kept], self.costs[kept],
-            tuple(self.statuses[i] for i in kept), self.to_go[kept],
-        )
+        columns = self.durations, self.costs, self.statuses, self.to_go
+        return Solves(*_section(start, end, self.times, *columns, rounding=_SAME_INSTANT))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +83,9 @@ class Momentum:
 
     def between(self, start: float, end: float) -> "Momentum":
         """Return the reports and pushes from `start` until before `end` [s], likewise."""
-        kept, pushed = _between(self.times, start, end), _between(self.push_times, start, end)
         return Momentum(
-            self.times[kept] - start, self.values[kept], tuple(self.disturbances[i] for i in kept),
-            self.push_times[pushed] - start, self.impulses[pushed],
+            *_section(start, end, self.times, self.values, self.disturbances),
+            *_section(start, end, self.push_times, self.impulses),
         )
 
 
@@ -132,12 +129,10 @@ class Floors:
         """Return what was in force or reported from `start` until before `end` [s], likewise."""
         first = max(0, newest(self.times, start))
         last = int(np.searchsorted(self.times, end))
-        kept = _between(self.report_times, start, end)
-        contacts = _between(self.contact_times, start, end)
         return Floors(
             self.times[first:last] - start, self.grids[first:last],
-            self.report_times[kept] - start, self.clearances[kept],
-            self.contact_times[contacts] - start,
+            *_section(start, end, self.report_times, self.clearances),
+            *_section(start, end, self.contact_times),
         )
 
 
@@ -231,16 +226,15 @@ class Run:
         i = number - 1
         start = max(0.0, float(self.goal_times[i]))
         end = float(self.goal_times[number]) if number < len(self.goals) else np.inf
-        poses = _between(self.times, start, end)
-        joints = _between(self.joint_times, start, end)
+        times, states = _section(start, end, self.times, self.states)
+        joint_times, speeds, torques = _section(
+            start, end, self.joint_times, self.rotor_speeds, self.rotor_torques
+        )
         return replace(
             self,
             name=f"{self.name}, goal {number}" if len(self.goals) > 1 else self.name,
-            times=self.times[poses] - start,
-            states=self.states[poses],
-            joint_times=self.joint_times[joints] - start,
-            rotor_speeds=self.rotor_speeds[joints],
-            rotor_torques=self.rotor_torques[joints],
+            times=times, states=states,
+            joint_times=joint_times, rotor_speeds=speeds, rotor_torques=torques,
             goal_times=self.goal_times[i:number] - start,
             goals=self.goals[i:number],
             plans=tuple(p.delayed(-start) for p in self.plans if start <= p.start < end),
@@ -270,9 +264,15 @@ def setup_text(strategy: str, radius: float, max_speed: float, plant: str) -> st
     return f"strategy {strategy or 'unknown'}; robot {size}{limit}; plant {plant or 'unknown'}"
 
 
-def _between(times: Vector, start: float, end: float) -> NDArray[np.intp]:
-    """Return the indices of the times from `start` until before `end`."""
-    return np.flatnonzero((times >= start) & (times < end))
+def _section(
+    start: float, end: float, times: Vector, *columns: Any, rounding: float = 0.0
+) -> list[Any]:
+    """Return the times from `start` until before `end`, counted from it, and their columns."""
+    kept = np.flatnonzero((times >= start - rounding) & (times < end - rounding))
+    return [
+        times[kept] - start,
+        *(tuple(it[i] for i in kept) if isinstance(it, tuple) else it[kept] for it in columns),
+    ]
 
 
 def newest(times: Vector, time: float) -> int:

@@ -1,51 +1,46 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Time lost on the way in one direction, by orientation at one end: a table kept between studies.
+"""Time lost on the way in one direction, by orientation at one end: a table of the package.
 
-It is the complement of the largest displacement S of `sphere_sim.study.displacement`: within t a
-sphere that starts in an orientation gets at most FASTEST (t - lost time) far.
+It is the complement of the largest displacement S of docs/time_bound.md: within t a sphere that
+starts in an orientation gets at most FASTEST (t - lost time) far. Times and lengths are in the
+units of that document, in which the table depends on the ratios of the inertias alone.
+
+Let m be the horizontal axis about which the sphere rolls in the direction of interest and k the
+vertical, both in body axes. They and so the orientation, but for the heading, follow from latitude
+l and longitude p of m on the body and the angle a of k about m, measured from north towards east:
+
+    m = [cos l cos p, cos l sin p, sin l],   k = cos a north + sin a east.
 """
 
-import contextlib
 import functools
-import hashlib
-import logging
 import math
-import os
-import tempfile
-import zlib
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.own_folder import cache_folder, own_folder
-from sphere_sim.study.displacement import FASTEST, DisplacementSteps
-from sphere_sim.study.orientation_grid import OrientationGrid, angles_of
-from sphere_sim.study.progress import shown
 
-SIZE = 48
-"""Nodes in a quarter turn: 40 s of one core; the time grows with the fourth power."""
-_VERSION = 1
-"""To be raised with any change of the computation that raises or lowers the table."""
-_HORIZON = 2.4
-"""Time up to which the table goes; later on the lost time does not decrease. A longer table does
-not raise it, as what is added in each step outweighs what it gains."""
-_EVERY = 3
-"""Steps of the computation for one of the table."""
-_RESOLUTION = 4e-5
+FASTEST = math.sqrt(2.0)
+"""Largest speed, that of rolling with both rotors at their limit."""
+FILE = Path(__file__).with_name("displacement_table.npz")
+"""Table of the default robot; `bench/documents/displacement_table_file.py` writes it."""
+RESOLUTION = 1e-3
 """Unit of the lost times that are stored, rounded down."""
-_DAMAGED = (ValueError, KeyError, EOFError, BadZipFile, zlib.error)
-_log = logging.getLogger("sphere_nmpc")
+_SAME_RATIO = 1e-12
+"""Rounding of the ratios of the inertias."""
 
 
 class DisplacementTable:
-    """Lost times of a robot; times and lengths in the units of docs/time_bound.md.
+    """Lost times of a robot.
+
+    The nodes of a grid of `stored`, (times, latitudes, longitudes, angles), are half a step from
+    the limits of the angles; those of the latitude end before the pole, about which all
+    orientations lose `at_cap`. Between nodes it is a quadratic B-spline, whose weights are not
+    negative and add up to one: with smaller coefficients it is a bound as well.
 
     Attributes
     ----------
@@ -53,13 +48,10 @@ class DisplacementTable:
         Ascending, from zero.
     """
 
-    def __init__(
-        self, grid: OrientationGrid, times: Vector, at_cap: Vector, stored: NDArray[np.int16]
-    ) -> None:
+    def __init__(self, times: Vector, at_cap: Vector, stored: NDArray[np.int16]) -> None:
         self.times = times
-        self._grid = grid
-        self._at_cap = at_cap
-        self._stored = stored
+        self._at_cap, self._stored = at_cap, stored
+        self._step = 0.5 * math.pi / stored.shape[2]
 
     def lost(self, quaternion: Vector, heading: float) -> Vector:
         """Return the least lost time [1 / (c1 u_max)] at each of `times`, shape (n,).
@@ -71,10 +63,10 @@ class DisplacementTable:
 
     def _lost(self, quaternion: Vector, heading: float) -> Vector:
         latitude, *_ = angles = angles_of(quaternion, heading)
-        rows, longitudes, turns = self._grid.shape
-        if latitude >= (rows - 1) * self._grid.step:
+        rows, longitudes, turns = self._stored.shape[1:]
+        if latitude >= (rows - 1) * self._step:
             return self._at_cap
-        place = angles / self._grid.step - 0.5
+        place = angles / self._step - 0.5
         node = np.floor(place + 0.5).astype(int)
         offset = place - node
         before, after = 0.5 - offset, 0.5 + offset
@@ -86,7 +78,7 @@ class DisplacementTable:
                 row, longitude = -1 - row, -1 - longitude
             stored = self._stored[:, row, longitude % longitudes, turn % turns]
             weight = math.prod(weights[shift[axis], axis] for axis in range(3))
-            total += weight * _RESOLUTION * stored
+            total += weight * RESOLUTION * stored
         return total
 
     def least_time(self, distance: float, start: Vector, goal: Vector, heading: float) -> float:
@@ -103,84 +95,35 @@ class DisplacementTable:
         lost = np.where(possible, first[:, None] + last, 0.0)
         return distance / FASTEST + float(np.max(lost))
 
-    def save(self, path: Path) -> None:
-        """Write the table to a file, which is there as a whole or not at all."""
-        own_folder(path.parent)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".npz")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, times=self.times, at_cap=self._at_cap, stored=self._stored)
-            os.replace(name, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
 
-    @classmethod
-    def load(cls, grid: OrientationGrid, path: Path) -> "DisplacementTable | None":
-        """Return the table of a file; None if it is none of this grid."""
-        with np.load(path, allow_pickle=False) as file:
-            times, at_cap, stored = (file[name] for name in ("times", "at_cap", "stored"))
-        if (
-            times.ndim != 1 or at_cap.shape != times.shape or stored.dtype != np.int16
-            or stored.shape != (len(times), *grid.shape)
-        ):
-            return None
-        return cls(grid, times, at_cap, stored)
+def angles_of(quaternion: Vector, heading: float) -> Vector:
+    """Return latitude, longitude and angle, shape (3,), of an orientation.
 
-
-def computed_table(grid: OrientationGrid, horizon: float = _HORIZON) -> DisplacementTable:
-    """Return the table of a grid up to a time, with a progress bar on standard error."""
-    steps = DisplacementSteps(grid)
-    number = math.ceil(horizon / steps.step / _EVERY)
-    times, at_cap = np.zeros(number + 1), np.zeros(number + 1)
-    stored = np.zeros((number + 1, *grid.shape), dtype=np.int16)
-    bar = Progress(
-        *Progress.get_default_columns(), console=Console(stderr=True), transient=True
-    )
-    limits = np.iinfo(np.int16)
-    with shown(bar) as progress:
-        for step in progress.track(range(1, number + 1), description="lower bound"):
-            for _ in range(_EVERY):
-                steps.advance()
-            times[step] = steps.time
-            at_cap[step] = steps.time - (steps.cap + steps.added) / FASTEST
-            lost = steps.time - (steps.coefficients + steps.added) / FASTEST
-            lost = np.floor(lost / _RESOLUTION)
-            if not limits.min < np.min(lost):  # on a grid that is too coarse for this time
-                return DisplacementTable(grid, times[:step], at_cap[:step], stored[:step])
-            # Where the bound is too large for a number, a smaller one is a bound as well.
-            stored[step] = np.minimum(lost, limits.max)
-    return DisplacementTable(grid, times, at_cap, stored)
-
-
-def displacement_table(constants: LumpedConstants) -> DisplacementTable:
-    """Return the table of a robot, from memory or the cache where it is there.
-
-    A cache that cannot be used is a warning; the table is then computed.
+    `heading` is that of the direction of interest [rad]; the latitude is not below the equator.
     """
-    return _table(constants.transverse_ratio, constants.axial_ratio, SIZE)
+    turn = rotation.matrix(quaternion)
+    # The sphere rolls about the horizontal axis to the left of the direction.
+    axis = turn.T @ (-math.sin(heading), math.cos(heading), 0.0)
+    vertical = turn[2]
+    if axis[2] < 0.0:
+        axis, vertical = axis * (1.0, -1.0, -1.0), vertical * (1.0, -1.0, -1.0)
+    longitude = math.atan2(axis[1], axis[0])
+    latitude = math.atan2(axis[2], math.hypot(axis[0], axis[1]))
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    angle = math.atan2(vertical @ east, vertical @ np.cross(axis, east))
+    return np.array([latitude, longitude, angle])
 
 
-@functools.lru_cache(maxsize=4)
-def _table(transverse_ratio: float, axial_ratio: float, size: int) -> DisplacementTable:
-    key = f"{_VERSION} {size} {_HORIZON!r} {_EVERY} {transverse_ratio!r} {axial_ratio!r}"
-    name = hashlib.sha256(key.encode()).hexdigest()[:24]
-    path = cache_folder() / f"displacement_{name}.npz"
-    grid = OrientationGrid(size, transverse_ratio, axial_ratio)
-    # A damaged file is replaced; reading anything but a regular file might never end.
-    with contextlib.suppress(OSError, *_DAMAGED):
-        own_folder(path.parent)
-        if path.is_file():
-            table = DisplacementTable.load(grid, path)
-            if table is not None:
-                return table
-    table = computed_table(grid)
-    try:
-        table.save(path)
-    except OSError as error:
-        _log.warning(
-            "sphere_nmpc study: %s cannot be written (%s); the table of lower bounds is not kept, "
-            "and computed again next time", path, error.strerror or error,
-        )
-    return table
+def displacement_table(constants: LumpedConstants) -> DisplacementTable | None:
+    """Return the table of a robot; None where its inertias are in other ratios than the file's."""
+    ratios, table = _table()
+    own = (constants.transverse_ratio, constants.axial_ratio)
+    return table if np.allclose(own, ratios, rtol=0.0, atol=_SAME_RATIO) else None
+
+
+@functools.cache
+def _table() -> tuple[Vector, DisplacementTable]:
+    """Return the ratios and the table of the file, which has the changes from time to time."""
+    with np.load(FILE, allow_pickle=False) as file:
+        stored = np.cumsum(file["changes"], axis=0, dtype=np.int16)
+        return file["ratios"], DisplacementTable(file["times"], file["at_cap"], stored)

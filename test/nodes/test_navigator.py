@@ -103,6 +103,16 @@ def test_goal_that_cannot_be_followed_is_rejected_with_one_line(begun) -> None:
 
 
 @pytest.mark.slow
+def test_goal_is_reached_after_controller_or_simulator_are_started_again(begun) -> None:
+    session = begun()
+    for node, side in (("controller", 2.5), ("simulator", -2.5)):
+        sent = session.client.send(pose(side, 0.0))
+        session.moves()
+        session.restart(node)
+        assert session.client.wait(sent) == ["succeeded"]
+
+
+@pytest.mark.slow
 def test_killed_navigator_can_be_restarted_while_the_sphere_goes_on(begun) -> None:
     session = begun()
     navigator, client = session.processes["navigator"], session.client

@@ -9,16 +9,22 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from displacement import DisplacementSteps
+from displacement_table_file import computed
+from orientation_grid import INPUTS, OrientationGrid
 from robots import HEAVY_ROTORS
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.study import displacement_table
-from sphere_sim.study.displacement import FASTEST, DisplacementSteps
-from sphere_sim.study.displacement_table import DisplacementTable, computed_table
-from sphere_sim.study.orientation_grid import INPUTS, OrientationGrid, angles_of
+from sphere_sim.study.displacement_table import (
+    FASTEST,
+    RESOLUTION,
+    DisplacementTable,
+    angles_of,
+    displacement_table,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +39,9 @@ def grid_of(robot: RobotParameters, size: int = SIZE) -> OrientationGrid:
 
 @functools.cache
 def table_of(name: str) -> DisplacementTable:
-    return computed_table(grid_of(ROBOTS[name]), 1.2)
+    """Return the table of the package where there is one."""
+    shipped = displacement_table(ROBOTS[name].lumped)
+    return shipped or DisplacementTable(*computed(grid_of(ROBOTS[name]), 1.2))
 
 
 def rate_of(robot: RobotParameters) -> ca.Function:
@@ -101,10 +109,10 @@ def test_spline_satisfies_the_inequality_anywhere_by_the_equations_of_the_model(
 
     def spline(coefficients: Vector, quaternion: Vector) -> float:
         # The table stores the complement, in multiples of its resolution.
-        stored = -coefficients[None] / displacement_table._RESOLUTION / FASTEST + 1e6
-        table = DisplacementTable(grid, np.zeros(1), np.zeros(1), stored)
+        stored = -coefficients[None] / RESOLUTION / FASTEST + 1e6
+        table = DisplacementTable(np.zeros(1), np.zeros(1), stored)
         lost = table.lost(quaternion, 0.0)[0]
-        return FASTEST * (1e6 * displacement_table._RESOLUTION - lost)
+        return FASTEST * (1e6 * RESOLUTION - lost)
 
     slack, limit = [], (grid.shape[0] - 1) * grid.step - 0.01
     while len(slack) < 200:
@@ -237,30 +245,14 @@ def test_goal_farther_than_the_table_takes_the_rest_at_full_speed() -> None:
     assert np.all(np.diff(times) > 0.0)
 
 
-def test_table_is_kept(tmp_path, monkeypatch, caplog, capsys) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(displacement_table, "SIZE", 8)
-    monkeypatch.setattr(displacement_table, "_HORIZON", 0.5)
-    constants, rng = RobotParameters().lumped, np.random.default_rng(8)
-    quaternion = rotation.random_quaternion(rng)
-
-    def lost() -> Vector:
-        displacement_table._table.cache_clear()
-        return displacement_table.displacement_table(constants).lost(quaternion, 0.0)
-
-    first = lost()
-    (file,) = (tmp_path / "sphere_nmpc").iterdir()
-    with monkeypatch.context() as patched:
-        patched.setattr(displacement_table, "computed_table", None)
-        np.testing.assert_array_equal(lost(), first)
-    for damaged in (b"", file.read_bytes()[:1000], b"PK\x03\x04 no table"):
-        file.write_bytes(damaged)
-        np.testing.assert_array_equal(lost(), first)
-        assert len(file.read_bytes()) > 1000
-    assert not caplog.records
-    file.unlink()
-    file.parent.rmdir()
-    file.parent.write_text("no folder")
-    np.testing.assert_array_equal(lost(), first)
-    assert "cannot be written" in caplog.text
-    displacement_table._table.cache_clear()
+def test_table_of_the_package_is_that_of_the_default_robot_alone() -> None:
+    table, rng = displacement_table(RobotParameters().lumped), np.random.default_rng(8)
+    assert table is not None
+    assert displacement_table(HEAVY_ROTORS.lumped) is None
+    # On a coarser grid more is added to the displacement, so that less is lost.
+    coarse = DisplacementTable(*computed(grid_of(ROBOTS["Table 1"]), 1.2))
+    for _ in range(20):
+        quaternion = rotation.random_quaternion(rng)
+        lost = np.interp(coarse.times, table.times, table.lost(quaternion, 0.0))
+        less = lost - coarse.lost(quaternion, 0.0)
+        assert np.min(less) > -0.03 and np.max(less) < 0.2

@@ -12,7 +12,6 @@ from robots import HEAVY_ROTORS
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion, vertical
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
-from sphere_sim.study import displacement_table
 from sphere_sim.study.lower_bound import _largest_gain, lower_bound
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -20,9 +19,9 @@ from sphere_sim.world.plant.rolling_plant import RollingPlant
 pytestmark = pytest.mark.slow
 
 TABLE_1 = RobotParameters()
-# Inertia about the body's z axis is the smaller one, r3 > r1, unlike in the other robot.
-ROBOTS = [HEAVY_ROTORS, replace(TABLE_1, rotor_offset=0.0, shell_inertia=0.001)]
-NAMES = ["heavy rotors", "centred rotors"]
+# Inertia about the body's z axis of the last one is the smaller one, r3 > r1.
+ROBOTS = [TABLE_1, HEAVY_ROTORS, replace(TABLE_1, rotor_offset=0.0, shell_inertia=0.001)]
+NAMES = ["Table 1", "heavy rotors", "centred rotors"]
 
 ATTAINED = 1e-6
 """Difference of times [s] that the plant's integration causes: in steps of 1 ms less than 1e-8 s
@@ -33,13 +32,6 @@ DIAGONAL = math.sqrt(0.5)
 @pytest.fixture(autouse=True)
 def short_steps(monkeypatch) -> None:
     monkeypatch.setattr(rolling_plant, "MAX_STEP", 1e-3)
-
-
-@pytest.fixture(autouse=True)
-def coarse_table(monkeypatch, tmp_path) -> None:
-    monkeypatch.setattr(displacement_table, "SIZE", 24)
-    monkeypatch.setattr(displacement_table, "_HORIZON", 1.2)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def moved(robot: RobotParameters, start: Vector, knots: list[tuple[float, Vector]]) -> Vector:

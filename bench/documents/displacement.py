@@ -10,14 +10,13 @@ the table is a bound whatever the size of the grid; proof and units: docs/time_b
 import math
 
 import numpy as np
+from orientation_grid import INPUTS, OrientationGrid
 from scipy.sparse import csr_matrix
+from supersolution import Supersolution
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.study.orientation_grid import INPUTS, OrientationGrid
-from sphere_sim.study.supersolution import Supersolution
+from sphere_sim.study.displacement_table import FASTEST
 
-FASTEST = math.sqrt(2.0)
-"""Largest speed, that of rolling with both rotors at their limit."""
 _STEP = 0.6
 """Step of time over that of the grid; the sphere rotates by up to eight times as much."""
 _HELD = (1, 2, 6)

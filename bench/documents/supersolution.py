@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
+from orientation_grid import INPUTS, OrientationGrid
 
 from sphere_nmpc.model.state import Vector
-from sphere_sim.study.orientation_grid import INPUTS, OrientationGrid
 
 _AXES = range(3)
 

@@ -2,14 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grid of orientations in angles in which rolling along x and all symmetries are simple.
 
-Let m be the horizontal axis about which the sphere rolls in the direction of interest and k the
-vertical, both in body axes. They and so the orientation, but for the heading, follow from latitude
-l and longitude p of m on the body and the angle a of k about m, measured from north towards east:
-
-    m = [cos l cos p, cos l sin p, sin l],   k = cos a north + sin a east.
-
-Angles are in radian, time is in units of 1 / (c1 u_max), lengths in those of the shell's radius.
-Body rates per unit of time are those of rotor speeds of +-u_max; proof: docs/time_bound.md.
+The angles are those of `sphere_sim.study.displacement_table`, in radian, with m, k, l, p and a;
+time is in units of 1 / (c1 u_max), lengths in those of the shell's radius. Body rates per unit of
+time are those of rotor speeds of +-u_max; proof: docs/time_bound.md.
 """
 
 import math
@@ -18,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
 
 INPUTS = ((1.0, 1.0), (1.0, -1.0))
@@ -129,21 +123,3 @@ class OrientationGrid:
             stride *= 2
             variance += stride**2
         return values
-
-
-def angles_of(quaternion: Vector, heading: float) -> Vector:
-    """Return latitude, longitude and angle, shape (3,), of an orientation.
-
-    `heading` is that of the direction of interest [rad]; the latitude is not below the equator.
-    """
-    turn = rotation.matrix(quaternion)
-    # The sphere rolls about the horizontal axis to the left of the direction.
-    axis = turn.T @ (-math.sin(heading), math.cos(heading), 0.0)
-    vertical = turn[2]
-    if axis[2] < 0.0:
-        axis, vertical = axis * (1.0, -1.0, -1.0), vertical * (1.0, -1.0, -1.0)
-    longitude = math.atan2(axis[1], axis[0])
-    latitude = math.atan2(axis[2], math.hypot(axis[0], axis[1]))
-    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
-    angle = math.atan2(vertical @ east, vertical @ np.cross(axis, east))
-    return np.array([latitude, longitude, angle])

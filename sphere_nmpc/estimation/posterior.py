@@ -22,9 +22,9 @@ from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSE, POSE_SIZE, STATE_SIZE, Vector
 
-COMMON = 9
-LAG, SHARE = 4, 5
 CONSTANTS, IMBALANCE = slice(0, 4), slice(6, 9)
+LAG = CONSTANTS.stop
+SHARE, COMMON = LAG + 1, IMBALANCE.stop
 
 KNOT = ERROR_SIZE + 2
 POSE_ERROR = slice(0, 5)

@@ -17,9 +17,9 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     disturbance_of,
 )
-from sphere_nmpc.estimation.sent_inputs import SAME
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 

@@ -205,7 +205,7 @@ class Estimator:
         learns = settings.learning
         self._plant = PlantEstimate(
             scaling.lumped(common) if learns else scaling.nominal,
-            scaling.significant_lag(common) if learns else settings.drive_lag,
+            scaling.lag(common) if learns else settings.drive_lag,
             max(numbers.pose, result.noise),
             deviations * scaling.nominal.as_array(),
             scaling.attained(common) if learns else float("inf"),

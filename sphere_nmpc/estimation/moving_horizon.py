@@ -47,8 +47,6 @@ _CONVERGED = 3e-4
 """Step, in the scale of the unknowns, below which the iteration ends."""
 _SAME_SCALE = 0.05
 """Relative accuracy of the noise's scale."""
-_WEAKER = 0.8
-"""Share of the steepest ramp from which weaker drives are looked for."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
 """A rotation by a small angle moves its quaternion half as far."""
 
@@ -246,7 +244,7 @@ class MovingHorizon:
         steepest = max(one.interval.steepest for one in motions) / self._scaling.acceleration
         if steepest == 0.0 or not (hypothesis.weak or surprising):
             return fit
-        common[SHARE] = 1.0 if hypothesis.weak else _WEAKER * steepest
+        common[SHARE] = 1.0 if hypothesis.weak else (1.0 - self._numbers.share) * steepest
         other = replace(hypothesis, weak=not hypothesis.weak)
         found = self._fitted(Point(start.knots, common), motions, other, fit.scale)
         return found if found.equations.cost < fit.equations.cost else fit

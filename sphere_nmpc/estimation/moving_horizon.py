@@ -42,9 +42,8 @@ from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 _ITERATIONS = 6
 """Gauss-Newton iterations for each fit at most."""
 _STILL_LINEAR = 3e-3
-"""Change, in the scale of the unknowns, up to which a linearisation is kept."""
-_CONVERGED = 3e-4
-"""Step, in the scale of the unknowns, below which the iteration ends."""
+"""Change, in the scale of the unknowns, up to which a linearisation is kept; the iteration ends
+with a step below it."""
 _SAME_SCALE = 0.05
 """Relative accuracy of the noise's scale."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
@@ -204,7 +203,7 @@ class MovingHorizon:
             if iteration > 0:
                 before, scale = scale, equations.next_scale()
                 same = abs(scale / before - 1.0) < _SAME_SCALE
-                if same and self._largest(equations.step) < _CONVERGED:
+                if same and self._largest(equations.step) < _STILL_LINEAR:
                     break
         return _Fit(point, motions, equations, scale, hypothesis)
 

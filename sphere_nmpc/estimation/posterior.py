@@ -39,7 +39,7 @@ NORMAL: Vector = np.concatenate((np.ones(4), [0.0, 1.0], np.zeros(3)))
 """Common unknowns of a balanced robot as built, with drives that attain the limit."""
 
 TIGHT = 1e-4
-"""Standard deviation of what is zero [rad/s, rad/s^2]: no step, but invertible."""
+"""Standard deviation of what is zero or fixed, in its unit: no step, but invertible."""
 
 _RANGE = (0.3, 3.0)
 """Range of each constant relative to its nominal value; drives attain at least as small a share of

@@ -23,6 +23,8 @@ END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 """Signals that ask a process to end, which all processes of this package treat alike."""
 _PATIENCE = 6.0
 """Wait of `Child.stop` after SIGINT [s]."""
+NICENESS = 5
+"""Niceness of a process that only displays or searches, behind the control loop."""
 _LAST_LINES = 12
 """Lines of output that a `ChildEndedError` quotes."""
 _SET_PARENT_DEATH_SIGNAL = 1

@@ -26,6 +26,7 @@ from sphere_nmpc.estimation.posterior import (
     LOCAL,
     NORMAL,
     POSE_ERROR,
+    TIGHT,
     PoseNoise,
     Scaling,
     apply_knot_error,
@@ -34,8 +35,6 @@ from sphere_nmpc.estimation.posterior import (
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
-_FIXED = 1e-3
-"""Standard deviation of a common unknown that is fixed, in its unit."""
 _EXPECTED = 10.0
 """Number of errors that what was known of the noise's scale before weighs as much as."""
 _BLOCK = 2 * KNOT + COMMON
@@ -267,10 +266,10 @@ class NormalEquations:
         # The prior is for any imbalance and drives.
         fixed, away = hypothesis.fixed, given.common - NORMAL
         places = np.flatnonzero(fixed) + size - COMMON
-        self.information[places, places] += _FIXED**-2
-        self.gradient[places] += away[fixed] * _FIXED**-2
-        cost += float(np.sum(away[fixed] ** 2)) * _FIXED**-2
-        cost += 2.0 * float(np.sum(np.log(_FIXED / given.scaling.deviations[fixed])))
+        self.information[places, places] += TIGHT**-2
+        self.gradient[places] += away[fixed] * TIGHT**-2
+        cost += float(np.sum(away[fixed] ** 2)) * TIGHT**-2
+        cost += 2.0 * float(np.sum(np.log(TIGHT / given.scaling.deviations[fixed])))
         # SciPy's triangular solver is faster, but its import takes as long as all others here.
         self.step: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
         self._keep_range(given)
@@ -335,8 +334,8 @@ class NormalEquations:
         information, by = self.information.copy(), self.gradient.copy()
         fixed = hypothesis.fixed
         places = np.flatnonzero(fixed) + 2 * KNOT
-        information[places, places] -= _FIXED**-2
-        by[places] -= (point.common - NORMAL)[fixed] * _FIXED**-2
+        information[places, places] -= TIGHT**-2
+        by[places] -= (point.common - NORMAL)[fixed] * TIGHT**-2
         gain = np.linalg.solve(information[:KNOT, :KNOT], information[:KNOT, KNOT:]).T
         kept = information[KNOT:, KNOT:] - gain @ information[:KNOT, KNOT:]
         return Prior(

@@ -19,9 +19,10 @@ from sphere_nmpc.estimation.pose_filter import (
     PoseFilter,
 )
 from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
-from sphere_nmpc.estimation.sent_inputs import SAME, SentInputs
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.model.disturbance import Disturbance
+from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
 from sphere_nmpc.settings import ControllerSettings
@@ -204,7 +205,7 @@ class Estimator:
         learns = settings.learning
         self._plant = PlantEstimate(
             scaling.lumped(common) if learns else scaling.nominal,
-            scaling.significant_lag(common) if learns else settings.drive_lag,
+            scaling.lag(common) if learns else settings.drive_lag,
             max(numbers.pose, result.noise),
             deviations * scaling.nominal.as_array(),
             scaling.attained(common) if learns else float("inf"),

@@ -30,10 +30,9 @@ from sphere_nmpc.estimation.posterior import (
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.state import Vector
 
-_POSE_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
-"""Noises of the poses beyond that given that are tried [rad; over the radius in m]."""
-_TIME_NOISES = (0.0, 3e-3, 1e-2, 3e-2)
-"""Noises of their stamps that are tried [s]."""
+_NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Noises beyond that given that are tried, of the poses [rad; over the radius in m] and of their
+stamps [s]."""
 
 _ACROSS = 0.25
 """Effect of a late command in other directions than that of a short delay, over that [-]."""
@@ -152,8 +151,8 @@ class Hypothesis:
     def _noises(self) -> list["Hypothesis"]:
         """Those with other noises of the poses."""
         pose, time = self.pose_noise
-        noises = [PoseNoise(one, time) for one in _POSE_NOISES]
-        noises += [PoseNoise(pose, one) for one in _TIME_NOISES]
+        noises = [PoseNoise(one, time) for one in _NOISES]
+        noises += [PoseNoise(pose, one) for one in _NOISES]
         return [replace(self, pose_noise=noise) for noise in noises]
 
     @property

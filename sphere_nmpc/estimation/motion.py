@@ -17,16 +17,14 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     disturbance_of,
 )
-from sphere_nmpc.estimation.sent_inputs import SAME
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.first_order_hold import SAME, SHORTEST
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
-_RATE_STEP = 1e-3
-"""Time over which a rate of the pose is taken [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +159,9 @@ def pose_rate(
     """Return the rate of the pose's error [m/s, rad/s], shape (5,), at rotor speeds [rad/s]."""
     held = np.array((speeds, speeds))
     later = roll_out(
-        state, held, np.array([_RATE_STEP]), constants, _RATE_STEP, disturbance
+        state, held, np.array([SHORTEST]), constants, SHORTEST, disturbance
     )[-1]
-    found: Vector = error_between(state[POSE], later[POSE]) / _RATE_STEP
+    found: Vector = error_between(state[POSE], later[POSE]) / SHORTEST
     return found
 
 

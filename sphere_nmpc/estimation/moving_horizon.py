@@ -42,13 +42,10 @@ from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 _ITERATIONS = 6
 """Gauss-Newton iterations for each fit at most."""
 _STILL_LINEAR = 3e-3
-"""Change, in the scale of the unknowns, up to which a linearisation is kept."""
-_CONVERGED = 3e-4
-"""Step, in the scale of the unknowns, below which the iteration ends."""
+"""Change, in the scale of the unknowns, up to which a linearisation is kept; the iteration ends
+with a step below it."""
 _SAME_SCALE = 0.05
 """Relative accuracy of the noise's scale."""
-_WEAKER = 0.8
-"""Share of the steepest ramp from which weaker drives are looked for."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
 """A rotation by a small angle moves its quaternion half as far."""
 
@@ -206,7 +203,7 @@ class MovingHorizon:
             if iteration > 0:
                 before, scale = scale, equations.next_scale()
                 same = abs(scale / before - 1.0) < _SAME_SCALE
-                if same and self._largest(equations.step) < _CONVERGED:
+                if same and self._largest(equations.step) < _STILL_LINEAR:
                     break
         return _Fit(point, motions, equations, scale, hypothesis)
 
@@ -246,7 +243,7 @@ class MovingHorizon:
         steepest = max(one.interval.steepest for one in motions) / self._scaling.acceleration
         if steepest == 0.0 or not (hypothesis.weak or surprising):
             return fit
-        common[SHARE] = 1.0 if hypothesis.weak else _WEAKER * steepest
+        common[SHARE] = 1.0 if hypothesis.weak else (1.0 - self._numbers.share) * steepest
         other = replace(hypothesis, weak=not hypothesis.weak)
         found = self._fitted(Point(start.knots, common), motions, other, fit.scale)
         return found if found.equations.cost < fit.equations.cost else fit

@@ -25,9 +25,10 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     with_block,
 )
-from sphere_nmpc.estimation.sent_inputs import SAME, SentInputs
+from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
+from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
 from sphere_nmpc.solver.roll_out import propagate, roll_out

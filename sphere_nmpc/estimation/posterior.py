@@ -22,9 +22,9 @@ from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSE, POSE_SIZE, STATE_SIZE, Vector
 
-COMMON = 9
-LAG, SHARE = 4, 5
 CONSTANTS, IMBALANCE = slice(0, 4), slice(6, 9)
+LAG = CONSTANTS.stop
+SHARE, COMMON = LAG + 1, IMBALANCE.stop
 
 KNOT = ERROR_SIZE + 2
 POSE_ERROR = slice(0, 5)
@@ -39,16 +39,13 @@ NORMAL: Vector = np.concatenate((np.ones(4), [0.0, 1.0], np.zeros(3)))
 """Common unknowns of a balanced robot as built, with drives that attain the limit."""
 
 TIGHT = 1e-4
-"""Standard deviation of what is zero [rad/s, rad/s^2]: no step, but invertible."""
+"""Standard deviation of what is zero or fixed, in its unit: no step, but invertible."""
 
 _RANGE = (0.3, 3.0)
-"""Range of each constant relative to its nominal value."""
+"""Range of each constant relative to its nominal value; drives attain at least as small a share of
+the acceleration limit."""
 _LARGEST_RATIO = 0.98
 """The two ratios are below 1 for any mass; the model is singular there."""
-_LEAST_SHARE = 0.4
-"""Least share of the acceleration limit that drives attain."""
-_SHORTEST_LAG = 2e-4
-"""A lag below this [s] is taken as zero: it moves the sphere by less than half a millimetre."""
 SHARE_STEP = 0.02
 """Least difference from the acceleration limit that counts as weakness of the drives [-]; ramps of
 plans are nearer to it."""
@@ -159,7 +156,7 @@ class Scaling:
         # Negative where stamps are earlier than the measurements.
         highest[LAG] = self.numbers.longest_lag / self.numbers.lag
         lowest[LAG] = -highest[LAG]
-        lowest[SHARE], highest[SHARE] = _LEAST_SHARE, 1.0
+        lowest[SHARE], highest[SHARE] = _RANGE[0], 1.0
         kept: Vector = np.minimum(np.maximum(common, lowest), highest)
         return kept
 
@@ -175,11 +172,6 @@ class Scaling:
     def lag(self, common: Vector) -> float:
         """Return the lag [s]."""
         return float(common[LAG]) * self.numbers.lag
-
-    def significant_lag(self, common: Vector) -> float:
-        """Return the lag [s], or 0 where it is too short to matter."""
-        lag = self.lag(common)
-        return lag if abs(lag) >= _SHORTEST_LAG else 0.0
 
     def attained(self, common: Vector) -> float:
         """Return the acceleration that the drives attain [rad/s^2]; inf where it is the limit."""

@@ -6,13 +6,11 @@ from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SAME, SHORTEST, FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
-SAME = 1e-9
-"""Times [s] and speeds [rad/s] that differ by less are the same."""
 _SILENCE = 0.5
 """Time without measured speeds after which none are awaited [s]."""
 

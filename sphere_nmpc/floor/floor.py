@@ -24,8 +24,8 @@ from sphere_nmpc.model.state import Vector
 _CELL = 1.0 / 24.0
 """Largest side of a cell [Rs] to which a map is refined: in the middle of it the bound is below
 the distance by up to 0.2 of the side along a wall, and by 0.7 near a corner."""
-_MOST_REFINED = 4_000_000
-"""Cells of a refined map at most; the side is larger where there would be more."""
+MOST_FINE = 4_000_000
+"""Cells that a floor is made of, or that a map is refined to, at most."""
 _REACH = 4.0
 """Distance up to which it is told exactly [needed one]."""
 _CACHED = 16_384
@@ -265,7 +265,7 @@ def finest_cell(radius: float) -> float:
 def finest(grid: Grid, radius: float) -> Grid:
     """Return a grid in cells that are small compared with a sphere, or as many as are allowed."""
     factor = max(1, math.ceil(grid.resolution / finest_cell(radius) - 1e-9))
-    most = math.isqrt(max(1, _MOST_REFINED // grid.occupied.size))
+    most = math.isqrt(max(1, MOST_FINE // grid.occupied.size))
     return grid.refined(max(1, min(factor, most)))
 
 

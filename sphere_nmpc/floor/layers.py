@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sphere_nmpc.floor.floor import finest, finest_cell
+from sphere_nmpc.floor.floor import MOST_FINE, finest, finest_cell
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, Runs, check_geometry, touched_runs
 from sphere_nmpc.model.state import Vector
 
@@ -20,8 +20,6 @@ _AROUND = 84.0
 _ROUNDED = 17.0
 """What the bounds of the free floor around areas are rounded to [Rs], so that an area that moves
 mostly leaves them as they are."""
-_MOST_CELLS = 4_000_000
-"""Cells of a floor without a map at most."""
 _COARSEST = 0.25
 """Largest side of a cell of a floor without a map [Rs]: in larger ones the bounds of the distances
 are too far below them for a sphere to pass between obstacles."""
@@ -135,11 +133,11 @@ def _free(name: str, bounds: tuple[float, ...], radius: float) -> Grid:
     size, coarsest = (most[0] - x, most[1] - y), _COARSEST * radius
     # With a cell more on each side, as also a narrow floor has whole ones.
     whole = (size[0] + coarsest) * (size[1] + coarsest)
-    cell = max(finest_cell(radius), math.sqrt(whole / _MOST_CELLS))
+    cell = max(finest_cell(radius), math.sqrt(whole / MOST_FINE))
     if cell > coarsest:
         raise InvalidMapError(
             name, f"a floor of {size[0]:.4g} m x {size[1]:.4g} m",
-            f"at most {_MOST_CELLS * coarsest**2:.4g} m^2 for a sphere of {radius:g} m"
+            f"at most {MOST_FINE * coarsest**2:.4g} m^2 for a sphere of {radius:g} m"
         )
     columns, rows = (max(1, math.ceil(side / cell - 1e-9)) for side in size)
     check_geometry(name, columns, rows, cell, (x, y, 0.0, 0.0, 0.0, 0.0, 1.0))

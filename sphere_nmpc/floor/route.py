@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.floor.floor import Floor, kept_with_floor
+from sphere_nmpc.floor.floor import MOST_FINE, Floor, finest_cell, kept_with_floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.library import library
 
-_SPACING = 1.0 / 12.0
+_SPACING = 2.0 * finest_cell(1.0)
 """Spacing of the nodes [Rs], unless there would be more than `_MOST_NODES`."""
-_MOST_NODES = 1_000_000
-"""Nodes on a floor at most."""
+_MOST_NODES = MOST_FINE * (finest_cell(1.0) / _SPACING) ** 2
+"""Nodes on a floor at most: those of one of `MOST_FINE` cells."""
 _ROOM = 0.5
 """Clearance beyond the needed one [Rs] below which a unit of the way costs more."""
 _NARROW = 1.0

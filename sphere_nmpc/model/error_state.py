@@ -11,10 +11,10 @@ after these, shape (8,).
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, Vector
+from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, STATE_SIZE, Vector
 
-ERROR_SIZE = 8
-"""Size of the error of a state."""
+ERROR_SIZE = STATE_SIZE - 1
+"""Size of the error of a state: a rotation vector has a number less than a quaternion."""
 
 
 def apply_error(state: Vector, error: Vector) -> Vector:

@@ -13,6 +13,8 @@ from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 
+SAME = 1e-9
+"""Times [s] and speeds [rad/s] that differ by less are the same."""
 FASTEST = 1e6
 """Largest rotor speed [rad/s]; far beyond it differences over short times overflow."""
 SHORTEST = 1e-6
@@ -127,7 +129,7 @@ class FirstOrderHold:
         return FirstOrderHold(self.times + offset, self.speeds)
 
     def starting_at(
-        self, time: float, speeds: Vector, shortest: float = 1e-9
+        self, time: float, speeds: Vector, shortest: float = SAME
     ) -> "FirstOrderHold":
         """Return the hold that starts with `speeds` at `time` and meets this one at its next knot.
 

@@ -22,8 +22,6 @@ smaller; (0.7, 0.7), a quarter turn, has 0.98995. Case 1 of the paper, in four d
 """
 
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
-_SMALL = 1e-8
-"""Angle [rad] below which sine over angle is 1 to rounding."""
 
 
 def product(a: Vector, b: Vector) -> Vector:
@@ -54,7 +52,7 @@ def exponential(rotation: Vector) -> Vector:
     """Return the unit quaternion, shape (4,), of a rotation vector [rad], shape (3,)."""
     x, y, z = rotation.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    factor = 0.5 if angle < _SMALL else math.sin(0.5 * angle) / angle
+    factor = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
     return np.array((math.cos(0.5 * angle), factor * x, factor * y, factor * z))
 
 
@@ -63,7 +61,7 @@ def logarithm(q: Vector) -> Vector:
     w, x, y, z = q.tolist()
     sine = math.sqrt(x * x + y * y + z * z)
     # Both signs of a quaternion are one orientation; the nearer one gives the shorter rotation.
-    factor = 2.0 if sine < _SMALL else 2.0 * math.atan2(sine, abs(w)) / sine
+    factor = 2.0 if sine == 0.0 else 2.0 * math.atan2(sine, abs(w)) / sine
     if w < 0.0:
         factor = -factor
     return np.array((factor * x, factor * y, factor * z))

@@ -18,13 +18,12 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.rotation import NORM_TOLERANCE, Vector
 
 POSE_NAMES = ("x", "y", "q1", "q2", "q3", "q4")
-POSE_SIZE = 6
-STATE_SIZE = 9
 INPUT_SIZE = 2
 POSITION = slice(0, 2)
 QUATERNION = slice(2, 6)
 POSE = slice(0, 6)
 MOMENTUM = slice(6, 9)
+POSE_SIZE, STATE_SIZE = POSE.stop, MOMENTUM.stop
 
 NO_MOMENTUM: Vector = np.zeros(3)
 NO_MOMENTUM.flags.writeable = False

@@ -21,7 +21,7 @@ from types import FrameType
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 
-from sphere_nmpc.child import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS, NICENESS
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.network import network_reach
@@ -37,8 +37,6 @@ _ALL_EVERY = 300.0
 """Time between two collections of all objects made since the start [s]."""
 _MIDDLE, _OLDEST = 1, 2
 """Generations of objects, as the garbage collector counts them."""
-_NICENESS = 5
-"""Niceness of a process that only displays."""
 _TASKS = Path("/proc/self/task")
 _OF_SESSION = Path("/proc/self/autogroup")
 _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
@@ -229,10 +227,10 @@ def lower_priority() -> None:
 
     Between sessions Linux divides processor time by the niceness of the session.
     """
-    os.nice(_NICENESS)
+    os.nice(NICENESS)
     with contextlib.suppress(OSError):
         if os.getsid(0) == os.getpid():
-            _OF_SESSION.write_text(str(_NICENESS))
+            _OF_SESSION.write_text(str(NICENESS))
 
 
 def _do_nothing(number: int, frame: FrameType | None) -> None:

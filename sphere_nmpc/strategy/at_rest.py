@@ -56,12 +56,9 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limits"
 """What is given up where a rotor would have to exceed its limit."""
-MOMENTUM_TOLERANCE = 0.05
-"""Component along the body's z axis [rad/s] that is left: it turns the sphere by 1e-2 in some
-seconds."""
-TORQUE_TOLERANCE = 0.05
-"""Component of the momentum's rate along the body's z axis [rad/s^2] that is left."""
-_TOLERANCES = np.array([MOMENTUM_TOLERANCE, TORQUE_TOLERANCE])
+TOLERANCE = 0.05
+"""Components along the body's z axis that are left, of the momentum [rad/s], which turns the
+sphere by 1e-2 in some seconds, and of its rate [rad/s^2]."""
 _LEAST_TOLD = 1e-2
 """Change of the orientation [rad] that is told; one below it is half the error at which a goal
 counts as reached."""
@@ -359,7 +356,7 @@ def _components(q: Vector, momentum: Vector, disturbance: Disturbance) -> tuple[
 def _excess(q: Vector, momentum: Vector, disturbance: Disturbance) -> Vector:
     """Return what the shares of h and dh/dt exceed their tolerances by, shape (2,)."""
     along, lengths = _components(q, momentum, disturbance)
-    allowed = _TOLERANCES / lengths
+    allowed = TOLERANCE / lengths
     excess: Vector = np.copysign(np.maximum(0.0, np.abs(along) - allowed), along)
     return excess
 

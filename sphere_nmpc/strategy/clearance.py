@@ -29,17 +29,13 @@ from sphere_nmpc.strategy.contract import Situation
 _SAMPLES = 0.06, 0.015, 0.0025
 """Longest time between two samples of a path [1 / (c1 u_max)]: 25.5 mm of the way for Table 1 with
 both rotors at their limits, and 6.4 and 1.1 mm where that does not certify it."""
-_PADDED = 64
-"""Number of which that of the samples is a multiple, as the memory for each number is kept."""
 _DEVIATIONS = 3.0
 """Standard deviations of the position that are added."""
-_AT_GOAL = 1e-3
-"""Distance [m] by which a plan may be nearer to what is occupied than the goal is."""
-_ROUNDING, _VARIES = 1e-6, 1e-3
-"""Distances [m] by which a goal may be too near to what is occupied: for radius and clearance, and
-for a radius that is learnt, which varies."""
-_FALL = 1e-3
-"""Decrease of the clearance [m] that counts as none where it is too small already."""
+_VARIES = 1e-3
+"""Distance [m] by which a plan may be nearer to what is occupied than its goal, a goal nearer than
+a radius that is learnt, and the clearance fall where it is too small already."""
+_ROUNDING = 1e-6
+"""Distance [m] by which a goal may lack radius and clearance."""
 _LEAST_SHARE = 0.1
 """Least share [-] of its inertia about the contact point that an imbalance may leave a sphere."""
 
@@ -68,7 +64,7 @@ def needed_distance(situation: Situation, margin: Margin) -> float:
     """
     floor = situation.floor
     beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation
-    there = floor.least_distance(situation.goal[POSITION]) - _AT_GOAL
+    there = floor.least_distance(situation.goal[POSITION]) - _VARIES
     return min(situation.least_distance + beyond, max(there, situation.radius))
 
 
@@ -125,7 +121,7 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
     spacings = _spacings(situation, hold)
     found: float = solver.hold_clearance(
         hold.times.size - 1, *(array.ctypes.data for array in arrays), *corners.shape,
-        place.ctypes.data, needed, situation.radius, _FALL, bound_of_speed(situation),
+        place.ctypes.data, needed, situation.radius, _VARIES, bound_of_speed(situation),
         spacings.ctypes.data, spacings.size,
     )
     return found
@@ -190,7 +186,7 @@ class Profile(NamedTuple):
         reached = np.maximum.accumulate(distances)
         # Short of it at the start, whether a path falls is only known at its samples.
         known = np.where(reached[:-1] < needed, distances[1:], between)
-        wanted = np.maximum(np.minimum(needed, reached[1:]) - _FALL, min(start, radius))
+        wanted = np.maximum(np.minimum(needed, reached[1:]) - _VARIES, min(start, radius))
         if np.any(known < wanted) or (start >= radius and np.any(between < radius)):
             return math.nan
         return float(np.min(distances))
@@ -210,7 +206,8 @@ def profile_of(situation: Situation, hold: FirstOrderHold, longest: float) -> Pr
     speeds: Vector = np.column_stack([
         np.interp(sampled, times, hold.speeds[:, rotor]) for rotor in (0, 1)
     ])
-    missing = -len(at[1:]) % _PADDED
+    # To a power of two, as the memory for each number of samples is kept.
+    missing = (1 << len(at).bit_length()) - len(at)
     durations = np.concatenate((np.diff(sampled), np.zeros(missing)))
     padded = np.vstack((speeds, np.tile(speeds[-1], (missing, 1))))
     states = roll_out(

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
@@ -41,8 +41,6 @@ _AMPLITUDE = 0.3
 0.3 and 0.7 and random ones led to the same least costs."""
 NO_PROGRESS = "stationary point: no initial guess leads nearer to the goal"
 """What a plan says that none of the guesses has improved."""
-_SHORTEST_INTERVAL = 1e-6
-"""Time to a knot [s] below which it counts as passed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +208,7 @@ class PaperStrategy:
         period = self._settings.period
         if self._origin is None:
             self._origin = now
-        passed = np.floor((now - self._origin + _SHORTEST_INTERVAL) / period)
+        passed = np.floor((now - self._origin + SHORTEST) / period)
         knots = self._origin + period * (passed + np.arange(1, self._settings.horizon + 1))
         return np.concatenate(([now], knots))
 
@@ -218,7 +216,7 @@ class PaperStrategy:
         """Return the last plan at the new knots, `rest` beyond its end (step 6), shape (N, 2)."""
         if last is None:
             return np.tile(rest, (times.size, 1))
-        known = times <= last.end + _SHORTEST_INTERVAL
+        known = times <= last.end + SHORTEST
         return np.array([last.at(t) if k else rest for t, k in zip(times, known, strict=True)])
 
     def _rest(self, situation: Situation) -> Vector:

@@ -26,8 +26,6 @@ _FIRST_PATIENCE = 20.0
 """Time without its first result after which a worker is replaced [s]: it has to be loaded."""
 _RESTART_EVERY = 1.0
 """Shortest wall time between two starts of the process [s]."""
-_LONGEST_END = 1.0
-"""Wait for the process when it is closed [s]."""
 
 
 class WorkerProcess:
@@ -117,7 +115,7 @@ class WorkerProcess:
         self._started = float("inf")
         self._fail("the worker is closed")
         if self._child is not None:
-            self._child.stop(_LONGEST_END)
+            self._child.kill()  # it keeps nothing
             self._child = None
 
     def _start(self) -> None:

@@ -14,12 +14,10 @@ from importlib import import_module
 from typing import NoReturn
 
 from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import END_SIGNALS
+from sphere_nmpc.child import END_SIGNALS, NICENESS
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.worker.contract import Store
 
-_NICENESS = 5
-"""Niceness of the process: where processors are scarce, the control loop comes first."""
 _USED = ("sphere_nmpc.strategy.time_optimal.background", "sphere_nmpc.estimation.estimator")
 """Modules of the tasks, loaded before the first of them arrives."""
 
@@ -54,7 +52,7 @@ def main(argv: list[str]) -> int:
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with contextlib.suppress(OSError):
-        os.nice(_NICENESS)
+        os.nice(NICENESS)
     limit_library_threads()
     for name in _USED:
         import_module(name)

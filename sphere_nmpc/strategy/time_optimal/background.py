@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
@@ -42,8 +42,6 @@ from sphere_nmpc.worker.in_line import InLine
 
 _GROWTH = 2.0
 """Factor on the time ahead after a search that was not complete in time."""
-_SAME_TIME = 1e-6
-"""Rounding of control times [s]."""
 _LEAST_TICK = 0.02
 """Delay [s] by which a plan may begin later at the highest control rates, too."""
 
@@ -312,7 +310,7 @@ class BackgroundSearch:
         self._worker.poll()
         if self._reply.error:
             self._task = None
-        begins = task.from_rest or now >= task.situation.time - _SAME_TIME
+        begins = task.from_rest or now >= task.situation.time - SHORTEST
         return self._reply.ready and begins
 
     def take(self, now: float) -> tuple[SearchTask, Plan] | None:
@@ -326,7 +324,7 @@ class BackgroundSearch:
             return None
         task, self._task = self._task, None
         late = now - task.situation.time
-        allowed = max(self._settings.control_period, _LEAST_TICK) + _SAME_TIME
+        allowed = max(self._settings.control_period, _LEAST_TICK) + SHORTEST
         if not task.from_rest and late > allowed:
             self._ahead = min(_GROWTH * self._ahead, 2.0 * self._tuning.longest_search)
             return None

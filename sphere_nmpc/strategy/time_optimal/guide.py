@@ -34,13 +34,6 @@ _LONGEST_LEG = 1e4
 100 km would have to be planned to more digits than the solver attains."""
 _LAST_LEG = 2.5
 """Length of the last leg at most, over that of the others."""
-_ROOM = 0.4, 0.15, 0.03, 0.0
-"""Room beside the straight line to a local goal that is looked for, in this order [Rs]: motions
-are not straight."""
-_WORTH_IT = 0.7
-"""Share of the distance of the farthest place in sight that one with more room has to have."""
-_BEYOND = 1.5
-"""Distance [Rs] of a local goal beyond the place in sight: motions are not straight."""
 _FARTHEST = 14.0
 """Largest distance of a local goal on a route with corners [Rs]."""
 _CANDIDATES = 24
@@ -167,13 +160,9 @@ def _place_on(path: Vector, situation: Situation, failed: int) -> Vector:
         reach = max(_LENGTHS[0] * radius, near * straight)
     away: Vector = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES, dtype=np.float64)
     targets = along(path, away)
-    needed, farthest, chosen = needed_distance(situation, Margin.FOUND), 0.0, float(away[0])
-    for room in reversed(_ROOM):
-        seen = np.flatnonzero(in_sight(situation.floor, place, targets, needed + room * radius))
-        if seen.size == 0 or away[seen[-1]] < _WORTH_IT * farthest:
-            break
-        farthest, chosen = max(farthest, away[seen[-1]]), away[seen[-1]]
-    return along(path, np.array([chosen if failed else chosen + _BEYOND * radius]))[0]
+    needed = needed_distance(situation, Margin.FOUND)
+    seen = np.flatnonzero(in_sight(situation.floor, place, targets, needed))
+    return targets[seen[-1] if seen.size else 0]
 
 
 def along(path: Vector, away: Vector) -> Vector:

@@ -23,6 +23,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import INPUT_SIZE, POSITION, QUATERNION, Vector
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.clearance import Margin
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 
 _STEP = 1.0 / 80.0
@@ -34,9 +35,7 @@ _TURNED: Vector = np.linspace(0.0, 1.0, 9, dtype=np.float64)
 """Shares of such a turn at its knots."""
 _SPACINGS = 0.5, 0.25, 0.12, 0.06
 """Spacings of the knots [of the fine ones of a plan], of which the first one is taken with which
-the motion ends within `_MISSED`: the speeds between knots are linear."""
-_MISSED = 0.007
-"""Distance from its end [Rs] within which a motion has to arrive."""
+the motion ends within `Margin.KEPT`: the speeds between knots are linear."""
 _RISING = 0.5
 """Share of the limit of the rotors' acceleration for the change of the pace; the rest is for that
 of the direction."""
@@ -144,7 +143,7 @@ def line_hold(
         rolled = fastest.resampled(np.linspace(0.0, fastest.end, count + 1, dtype=np.float64))
         line = turned.followed_by(rolled.delayed(turned.end))
         end = roll_out(state, line.speeds, np.diff(line.times), numbers)[-1, POSITION]
-        if float(np.linalg.norm(end - target)) < _MISSED * radius:
+        if float(np.linalg.norm(end - target)) < Margin.KEPT.value * radius:
             break
     return line
 

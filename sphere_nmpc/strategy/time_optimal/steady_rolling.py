@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SAME, FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import Vector
 
@@ -23,8 +23,6 @@ _NEARLY = 0.9
 """Share of the speed limit beyond which a rotor counts as being at it."""
 _MANOEUVRE = 2.0
 """Time beyond that of steady rolling that a motion takes [s]."""
-_SAME = 1e-9
-"""Times that count as the same [s]: knots farther apart stay apart, whatever is added to them."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def with_turns(hold: FirstOrderHold, added: float, max_speed: float) -> FirstOrd
         elif times[i] - times[begin] > longest:
             place, longest = 0.5 * (times[begin] + times[i]), times[i] - times[begin]
     corner = np.copysign(max_speed, hold.at(place))
-    before, after = times < place - _SAME, times > place + _SAME
+    before, after = times < place - SAME, times > place + SAME
     return FirstOrderHold(
         np.concatenate((times[before], [place, place + added], times[after] + added)),
         np.vstack((speeds[before], corner, corner, speeds[after])),

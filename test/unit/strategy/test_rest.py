@@ -16,7 +16,7 @@ from sphere_nmpc.model.disturbance import (
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
-from sphere_nmpc.strategy.at_rest import MOMENTUM_TOLERANCE, TORQUE_TOLERANCE, holdable_goal
+from sphere_nmpc.strategy.at_rest import TOLERANCE, holdable_goal
 from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -90,7 +90,7 @@ def test_push_turns_the_goal_by_no_more_than_the_tilt_of_the_momentum() -> None:
         # The z axis at an angle asin(share) from the plane perpendicular to h has to reach what
         # the tolerance leaves. The iteration takes steps of up to half a radian, which together
         # are up to 4e-3 longer than the shortest way; a change below 1e-2 is not even told.
-        least = np.arcsin(max(0.0, share - MOMENTUM_TOLERANCE / size))
+        least = np.arcsin(max(0.0, share - TOLERANCE / size))
         assert least - 1e-6 <= turned <= np.arcsin(share) + 5e-3
 
 
@@ -106,4 +106,4 @@ def test_momentum_and_its_rate_are_both_held(offset: float) -> None:
         np.testing.assert_array_equal(held[:2], PLACE)
         assert np.linalg.norm(held[QUATERNION]) == pytest.approx(1.0, abs=1e-12)
         momentum, rate = along_z(held[QUATERNION], *cause)
-        assert momentum <= MOMENTUM_TOLERANCE + 1e-9 and rate <= TORQUE_TOLERANCE + 1e-9
+        assert momentum <= TOLERANCE + 1e-9 and rate <= TOLERANCE + 1e-9

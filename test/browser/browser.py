@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import os
-import re
 import shutil
 import subprocess
 import tempfile
@@ -68,12 +67,16 @@ class Browser:
         self, executable: str, folder: Path, size: tuple[int, int] = (800, 400)
     ) -> None:
         self._folder = folder
-        self.size = size
+        self._size = size
         self.console: list[str] = []
         """Errors that the page has logged."""
         self.requested: list[str] = []
         """Addresses that the page has requested."""
+        self.meanwhile: Callable[[], object] = lambda: None
+        """What is called while it waits, as the `tick` of a viewer in this process."""
         self._number = 0
+        self._session: str | None = None
+        self._drawn: bytes | None = None
         command = [executable, *_FLAGS, f"--window-size={size[0]},{size[1]}",
                    f"--user-data-dir={folder}", "about:blank"]
         self._log = (folder / "browser.log").open("wb")
@@ -103,7 +106,7 @@ class Browser:
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.call("Page.addScriptToEvaluateOnNewDocument", source=_SLOW_SCREEN)
-        width, height = self.size
+        width, height = self._size
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
                   deviceScaleFactor=1.0, mobile=False)
         return self
@@ -118,9 +121,6 @@ class Browser:
             self._process.kill()
         self._log.close()
         self._temporary.cleanup()
-
-    _session: str | None = None
-    _drawn: bytes | None = None
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Return the answer to a command; events that arrive before it are stored."""
@@ -141,6 +141,7 @@ class Browser:
 
     def reset(self) -> None:
         """Leave the page, and forget what it has logged and requested."""
+        self.meanwhile = lambda: None
         self.open("about:blank")
         self.console.clear()
         self.requested.clear()
@@ -161,7 +162,7 @@ class Browser:
     def wait(self, condition: Callable[[], object], fault: str = "time-out") -> None:
         """Wait until a condition holds."""
         end = time.monotonic() + PATIENCE
-        while not condition():
+        while self.meanwhile() or not condition():
             assert time.monotonic() < end, f"{fault}:\n{self.text}\n{self.console}"
             time.sleep(0.05)
 
@@ -171,7 +172,6 @@ class Browser:
         self.wait(lambda: self.evaluate("window.drawn") >= before + 5, "the page does not draw")
 
     def click_button(self, label: str) -> None:
-        """Click the button with this label."""
         self._click("button", f"e.innerText.trim() === {json.dumps(label)}")
 
     def type_number(self, label: str, number: str) -> None:
@@ -230,14 +230,16 @@ class Browser:
         time.sleep(0.3)
         self._mouse("mouseReleased", *end)
 
-    def screenshot(self, path: Path) -> bytes:
-        """Save the next drawn frame; on a busy machine a snapshot may never be taken."""
+    def picture(self) -> np.ndarray:
+        """Return the pixels of the next drawn frame, shape (height, width, 3).
+
+        On a busy machine a snapshot may never be taken.
+        """
         self._drawn = None
         self.call("Page.startScreencast", format="png")
         self.wait(lambda: self.evaluate("0") or self._drawn is not None, "no frame was drawn")
         self.call("Page.stopScreencast")
-        path.write_bytes(self._drawn)
-        return self._drawn
+        return np.asarray(Image.open(io.BytesIO(self._drawn)).convert("RGB"), dtype=float)
 
     def _mouse(self, kind: str, x: float, y: float, held: bool = False) -> None:
         button = "left" if kind != "mouseMoved" or held else "none"
@@ -275,12 +277,6 @@ def _beside(label: str) -> str:
     )
 
 
-def page_of(folder: Path) -> str:
-    """Return the address that a viewer has printed; empty before."""
-    found = re.search(r"http://\S+", (folder / "viewer.log").read_text(encoding="utf-8"))
-    return found.group() if found else ""
-
-
 def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, float]:
     """Return the pixel of a point [m; world frame] in the initial view."""
     from sphere_sim.viewer.scene import CAMERA, LOOK_AT  # where viser is installed
@@ -299,24 +295,19 @@ def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, floa
     )
 
 
-def scene_of(page: Browser, path: Path) -> np.ndarray:
-    """Return the pixels of the scene, shape (height, width, 3)."""
-    left, top, width, height = map(int, page.box("canvas"))
-    picture = Image.open(io.BytesIO(page.screenshot(path))).convert("RGB")
-    return np.asarray(picture.crop((left, top, left + width, top + height)), dtype=float)
+def colour(page: Browser, point: tuple[float, float, float]) -> np.ndarray:
+    """Return the colour of the pixel of a point [m; world frame] in the initial view."""
+    x, y = pixel(page, point)
+    found: np.ndarray = page.picture()[int(y), int(x)]
+    return found
 
 
-def wait_for_red(page: Browser, path: Path, place: tuple[float, float]) -> None:
-    """Wait until a pixel of the page is red, as arrows along x are once they are drawn."""
-    left, top, _, _ = map(int, page.box("canvas"))
+def scene_of(page: Browser) -> np.ndarray:
+    """Return the pixels of the scene once it is drawn, shape (height, width, 3)."""
 
-    def is_red() -> bool:
-        red, green, _ = scene_of(page, path)[int(place[1]) - top, int(place[0]) - left]
-        return bool(red - green > 100.0)
+    def scene() -> np.ndarray:
+        left, top, width, height = map(int, page.box("canvas"))
+        return page.picture()[top : top + height, left : left + width]
 
-    page.wait(is_red, "no arrow is drawn there")
-
-
-def wait_for_scene(page: Browser, path: Path) -> None:
-    """Wait until the scene is drawn."""
-    page.wait(lambda: np.std(scene_of(page, path)) > 5.0, "the scene is empty")
+    page.wait(lambda: np.std(scene()) > 5.0, "the scene is empty")
+    return scene()

@@ -156,7 +156,6 @@ class Browser:
         return str(self.evaluate("document.body ? document.body.innerText : ''"))
 
     def wait_for(self, words: str) -> None:
-        """Wait until the page has a text."""
         self.wait(lambda: words in self.text, f"no '{words}' on the page")
 
     def wait(self, condition: Callable[[], object], fault: str = "time-out") -> None:
@@ -184,7 +183,6 @@ class Browser:
         self.wait(lambda: self.evaluate("window.sent"), "the page's timers do not run")
 
     def check(self, label: str) -> None:
-        """Change the check box beside a label."""
         self._click("input[type=checkbox]", _beside(label))
 
     def box(self, selector: str) -> tuple[float, float, float, float]:
@@ -211,7 +209,6 @@ class Browser:
         self.wait(lambda: self.evaluate(script), f"no {selector} with {condition}")
 
     def click(self, place: tuple[float, float]) -> None:
-        """Click a pixel."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self._mouse(kind, *place)
             time.sleep(0.1)
@@ -222,10 +219,8 @@ class Browser:
         time.sleep(0.3)
         self._mouse("mousePressed", *start)
         time.sleep(0.2)
-        for i in range(1, steps + 1):
-            share = i / steps
-            self._mouse("mouseMoved", start[0] + share * (end[0] - start[0]),
-                        start[1] + share * (end[1] - start[1]), held=True)
+        for x, y in np.linspace(start, end, steps + 1)[1:].tolist():
+            self._mouse("mouseMoved", x, y, held=True)
             time.sleep(0.04)
         time.sleep(0.3)
         self._mouse("mouseReleased", *end)
@@ -257,12 +252,9 @@ class Browser:
         return f"ws://127.0.0.1:{port}{path}"
 
     def _store(self, method: str, event: dict[str, Any]) -> None:
-        if method == "Runtime.consoleAPICalled" and event["type"] in ("error", "assert"):
-            self.console.append(" ".join(str(a.get("value", a)) for a in event["args"]))
-        elif method == "Runtime.exceptionThrown":
-            self.console.append(event["exceptionDetails"]["text"])
-        elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
-            self.console.append(f"{event['entry']['text']} {event['entry'].get('url', '')}")
+        level = event.get("entry", {}).get("level", event.get("type"))
+        if method == "Runtime.exceptionThrown" or level in ("error", "assert"):
+            self.console.append(str(event))
         elif method == "Page.screencastFrame":
             self._drawn = base64.b64decode(event["data"])
         elif method == "Network.requestWillBeSent":
@@ -282,24 +274,19 @@ def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, floa
     from sphere_sim.viewer.scene import CAMERA, LOOK_AT  # where viser is installed
 
     left, top, width, height = page.box("canvas")
-    camera, forward = np.array(CAMERA), np.array(LOOK_AT) - np.array(CAMERA)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
-    ray = np.array(point) - camera
-    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / float(ray @ forward)
-    return (
-        left + 0.5 * width + scale * float(ray @ right),
-        top + 0.5 * height - scale * float(ray @ up),
-    )
+    ahead = np.subtract(LOOK_AT, CAMERA)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    down = np.cross(ahead, right)
+    axes = [axis / np.linalg.norm(axis) for axis in (right, down, ahead)]
+    x, y, depth = (axes @ np.subtract(point, CAMERA)).tolist()
+    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / depth
+    return left + 0.5 * width + scale * x, top + 0.5 * height + scale * y
 
 
 def colour(page: Browser, point: tuple[float, float, float]) -> np.ndarray:
     """Return the colour of the pixel of a point [m; world frame] in the initial view."""
-    x, y = pixel(page, point)
-    found: np.ndarray = page.picture()[int(y), int(x)]
-    return found
+    x, y = map(int, pixel(page, point))
+    return page.picture()[y, x]
 
 
 def scene_of(page: Browser) -> np.ndarray:

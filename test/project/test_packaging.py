@@ -185,17 +185,6 @@ def test_core_requires_three_packages_only_and_the_lock_satisfies_every_extra() 
         assert requirement.specifier.contains(version[requirement.name]), requirement
 
 
-def test_what_the_documents_write_is_ignored_by_git() -> None:
-    ignored = (ROOT / ".gitignore").read_text().splitlines()
-    documents = [ROOT / "README.md", ROOT / "Makefile", *(ROOT / "docs").glob("*.md")]
-    written = {
-        folder for text in documents
-        for folder in re.findall(r"--(?:out|json) (\w+/)", text.read_text(encoding="utf-8"))
-    }
-    assert "out/" in written
-    assert written - {"docs/"} <= set(ignored)
-
-
 def constants_described_badly(source: str) -> Iterator[str]:
     """Yield the docstrings of constants that do not begin with a capital and end with a stop."""
     for block in ast.walk(ast.parse(source)):

@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import os
-import re
 import shutil
 import subprocess
 import tempfile
@@ -68,12 +67,16 @@ class Browser:
         self, executable: str, folder: Path, size: tuple[int, int] = (800, 400)
     ) -> None:
         self._folder = folder
-        self.size = size
+        self._size = size
         self.console: list[str] = []
         """Errors that the page has logged."""
         self.requested: list[str] = []
         """Addresses that the page has requested."""
+        self.meanwhile: Callable[[], object] = lambda: None
+        """What is called while it waits, as the `tick` of a viewer in this process."""
         self._number = 0
+        self._session: str | None = None
+        self._drawn: bytes | None = None
         command = [executable, *_FLAGS, f"--window-size={size[0]},{size[1]}",
                    f"--user-data-dir={folder}", "about:blank"]
         self._log = (folder / "browser.log").open("wb")
@@ -103,7 +106,7 @@ class Browser:
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.call("Page.addScriptToEvaluateOnNewDocument", source=_SLOW_SCREEN)
-        width, height = self.size
+        width, height = self._size
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
                   deviceScaleFactor=1.0, mobile=False)
         return self
@@ -118,9 +121,6 @@ class Browser:
             self._process.kill()
         self._log.close()
         self._temporary.cleanup()
-
-    _session: str | None = None
-    _drawn: bytes | None = None
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Return the answer to a command; events that arrive before it are stored."""
@@ -141,6 +141,7 @@ class Browser:
 
     def reset(self) -> None:
         """Leave the page, and forget what it has logged and requested."""
+        self.meanwhile = lambda: None
         self.open("about:blank")
         self.console.clear()
         self.requested.clear()
@@ -155,13 +156,12 @@ class Browser:
         return str(self.evaluate("document.body ? document.body.innerText : ''"))
 
     def wait_for(self, words: str) -> None:
-        """Wait until the page has a text."""
         self.wait(lambda: words in self.text, f"no '{words}' on the page")
 
     def wait(self, condition: Callable[[], object], fault: str = "time-out") -> None:
         """Wait until a condition holds."""
         end = time.monotonic() + PATIENCE
-        while not condition():
+        while self.meanwhile() or not condition():
             assert time.monotonic() < end, f"{fault}:\n{self.text}\n{self.console}"
             time.sleep(0.05)
 
@@ -171,7 +171,6 @@ class Browser:
         self.wait(lambda: self.evaluate("window.drawn") >= before + 5, "the page does not draw")
 
     def click_button(self, label: str) -> None:
-        """Click the button with this label."""
         self._click("button", f"e.innerText.trim() === {json.dumps(label)}")
 
     def type_number(self, label: str, number: str) -> None:
@@ -184,7 +183,6 @@ class Browser:
         self.wait(lambda: self.evaluate("window.sent"), "the page's timers do not run")
 
     def check(self, label: str) -> None:
-        """Change the check box beside a label."""
         self._click("input[type=checkbox]", _beside(label))
 
     def box(self, selector: str) -> tuple[float, float, float, float]:
@@ -211,7 +209,6 @@ class Browser:
         self.wait(lambda: self.evaluate(script), f"no {selector} with {condition}")
 
     def click(self, place: tuple[float, float]) -> None:
-        """Click a pixel."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self._mouse(kind, *place)
             time.sleep(0.1)
@@ -222,22 +219,22 @@ class Browser:
         time.sleep(0.3)
         self._mouse("mousePressed", *start)
         time.sleep(0.2)
-        for i in range(1, steps + 1):
-            share = i / steps
-            self._mouse("mouseMoved", start[0] + share * (end[0] - start[0]),
-                        start[1] + share * (end[1] - start[1]), held=True)
+        for x, y in np.linspace(start, end, steps + 1)[1:].tolist():
+            self._mouse("mouseMoved", x, y, held=True)
             time.sleep(0.04)
         time.sleep(0.3)
         self._mouse("mouseReleased", *end)
 
-    def screenshot(self, path: Path) -> bytes:
-        """Save the next drawn frame; on a busy machine a snapshot may never be taken."""
+    def picture(self) -> np.ndarray:
+        """Return the pixels of the next drawn frame, shape (height, width, 3).
+
+        On a busy machine a snapshot may never be taken.
+        """
         self._drawn = None
         self.call("Page.startScreencast", format="png")
         self.wait(lambda: self.evaluate("0") or self._drawn is not None, "no frame was drawn")
         self.call("Page.stopScreencast")
-        path.write_bytes(self._drawn)
-        return self._drawn
+        return np.asarray(Image.open(io.BytesIO(self._drawn)).convert("RGB"), dtype=float)
 
     def _mouse(self, kind: str, x: float, y: float, held: bool = False) -> None:
         button = "left" if kind != "mouseMoved" or held else "none"
@@ -255,12 +252,9 @@ class Browser:
         return f"ws://127.0.0.1:{port}{path}"
 
     def _store(self, method: str, event: dict[str, Any]) -> None:
-        if method == "Runtime.consoleAPICalled" and event["type"] in ("error", "assert"):
-            self.console.append(" ".join(str(a.get("value", a)) for a in event["args"]))
-        elif method == "Runtime.exceptionThrown":
-            self.console.append(event["exceptionDetails"]["text"])
-        elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
-            self.console.append(f"{event['entry']['text']} {event['entry'].get('url', '')}")
+        level = event.get("entry", {}).get("level", event.get("type"))
+        if method == "Runtime.exceptionThrown" or level in ("error", "assert"):
+            self.console.append(str(event))
         elif method == "Page.screencastFrame":
             self._drawn = base64.b64decode(event["data"])
         elif method == "Network.requestWillBeSent":
@@ -275,48 +269,32 @@ def _beside(label: str) -> str:
     )
 
 
-def page_of(folder: Path) -> str:
-    """Return the address that a viewer has printed; empty before."""
-    found = re.search(r"http://\S+", (folder / "viewer.log").read_text(encoding="utf-8"))
-    return found.group() if found else ""
-
-
 def pixel(page: Browser, point: tuple[float, float, float]) -> tuple[float, float]:
     """Return the pixel of a point [m; world frame] in the initial view."""
     from sphere_sim.viewer.scene import CAMERA, LOOK_AT  # where viser is installed
 
     left, top, width, height = page.box("canvas")
-    camera, forward = np.array(CAMERA), np.array(LOOK_AT) - np.array(CAMERA)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
-    ray = np.array(point) - camera
-    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / float(ray @ forward)
-    return (
-        left + 0.5 * width + scale * float(ray @ right),
-        top + 0.5 * height - scale * float(ray @ up),
-    )
+    ahead = np.subtract(LOOK_AT, CAMERA)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    down = np.cross(ahead, right)
+    axes = [axis / np.linalg.norm(axis) for axis in (right, down, ahead)]
+    x, y, depth = (axes @ np.subtract(point, CAMERA)).tolist()
+    scale = 0.5 * height / np.tan(np.radians(45.0) / 2.0) / depth
+    return left + 0.5 * width + scale * x, top + 0.5 * height + scale * y
 
 
-def scene_of(page: Browser, path: Path) -> np.ndarray:
-    """Return the pixels of the scene, shape (height, width, 3)."""
-    left, top, width, height = map(int, page.box("canvas"))
-    picture = Image.open(io.BytesIO(page.screenshot(path))).convert("RGB")
-    return np.asarray(picture.crop((left, top, left + width, top + height)), dtype=float)
+def colour(page: Browser, point: tuple[float, float, float]) -> np.ndarray:
+    """Return the colour of the pixel of a point [m; world frame] in the initial view."""
+    x, y = map(int, pixel(page, point))
+    return page.picture()[y, x]
 
 
-def wait_for_red(page: Browser, path: Path, place: tuple[float, float]) -> None:
-    """Wait until a pixel of the page is red, as arrows along x are once they are drawn."""
-    left, top, _, _ = map(int, page.box("canvas"))
+def scene_of(page: Browser) -> np.ndarray:
+    """Return the pixels of the scene once it is drawn, shape (height, width, 3)."""
 
-    def is_red() -> bool:
-        red, green, _ = scene_of(page, path)[int(place[1]) - top, int(place[0]) - left]
-        return bool(red - green > 100.0)
+    def scene() -> np.ndarray:
+        left, top, width, height = map(int, page.box("canvas"))
+        return page.picture()[top : top + height, left : left + width]
 
-    page.wait(is_red, "no arrow is drawn there")
-
-
-def wait_for_scene(page: Browser, path: Path) -> None:
-    """Wait until the scene is drawn."""
-    page.wait(lambda: np.std(scene_of(page, path)) > 5.0, "the scene is empty")
+    page.wait(lambda: np.std(scene()) > 5.0, "the scene is empty")
+    return scene()

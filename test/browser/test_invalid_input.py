@@ -70,38 +70,46 @@ def invalid_messages(viewer: Viewer) -> Iterator[bytes | str]:
         yield pack({**CAMERA, "position": odd, "look_at": odd, "fov": odd, "image_width": odd})
 
 
-def test_invalid_input_does_not_end_the_viewer(capfd) -> None:
+@pytest.fixture
+def script() -> Script:
     script, state = Script(), make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
     can = Capabilities(pause=True, reset=True, speed=1.0, strategies=("a", "b"))
     script.next = [Frame(state=state, goal=Goal(state), capabilities=can)]
+    return script
+
+
+@pytest.fixture
+def viewer(script) -> Iterator[Viewer]:
     viewer = Viewer(script, 0, live=True)
-    port = urlsplit(viewer.url).port
-    try:
-        viewer.tick()
-        for data in invalid_requests(port, urlsplit(viewer.url).query):
-            with socket.create_connection(("127.0.0.1", port), timeout=2.0) as end:
-                end.settimeout(0.2)
-                with suppress(OSError):
-                    end.sendall(data)
-                    end.recv(200)
-        messages = list(invalid_messages(viewer))
-        while messages:
-            # One page sends all of them; another one continues if it is disconnected.
-            with suppress(ConnectionClosed), shake_hands(viewer.url) as page:
-                page.send(pack(CAMERA))
-                while messages:
-                    page.send(messages.pop())
-                    answered, end = page.ping(), time.monotonic() + PATIENCE
-                    while not answered.wait(0.0):
-                        assert time.monotonic() < end, "no answer"
-                        with suppress(TimeoutError):
-                            page.recv(timeout=0.01)
-                    viewer._panel.put(SendGoal())
-                    viewer.tick()
-        with shake_hands(viewer.url) as page:
-            assert len(page.recv(timeout=PATIENCE)) > 0
-    finally:
-        viewer.close()
+    viewer.tick()
+    yield viewer
+    viewer.close()
+
+
+def test_invalid_input_does_not_end_the_viewer(viewer, script, capfd) -> None:
+    url = urlsplit(viewer.url)
+    for data in invalid_requests(url.port, url.query):
+        with socket.create_connection(("127.0.0.1", url.port), timeout=2.0) as end:
+            end.settimeout(0.2)
+            with suppress(OSError):
+                end.sendall(data)
+                end.recv(200)
+    messages = list(invalid_messages(viewer))
+    while messages:
+        # One page sends all of them; another one continues if it is disconnected.
+        with suppress(ConnectionClosed), shake_hands(viewer.url) as page:
+            page.send(pack(CAMERA))
+            while messages:
+                page.send(messages.pop())
+                answered, end = page.ping(), time.monotonic() + PATIENCE
+                while not answered.wait(0.0):
+                    assert time.monotonic() < end, "no answer"
+                    with suppress(TimeoutError):
+                        page.recv(timeout=0.01)
+                viewer._panel.put(SendGoal())
+                viewer.tick()
+    with shake_hands(viewer.url) as page:
+        assert len(page.recv(timeout=PATIENCE)) > 0
     goals = [request.goal for request in script.requests if isinstance(request, SetGoal)]
     assert goals and all(abs(goal[2:] @ goal[2:] - 1.0) < 1e-9 for goal in goals)
     printed = capfd.readouterr()
@@ -109,9 +117,8 @@ def test_invalid_input_does_not_end_the_viewer(capfd) -> None:
     assert printed.err.startswith("viewer: invalid input of a page was ignored: ")
 
 
-def test_too_many_connections_cause_one_line_and_service_resumes(capfd) -> None:
-    viewer, text = Viewer(Script(), 0, live=True), ""
-    held = [socket.socket() for _ in range(20)]
+def test_too_many_connections_cause_one_line_and_service_resumes(viewer, capfd) -> None:
+    held, text = [socket.socket() for _ in range(20)], ""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     end = time.monotonic() + PATIENCE
     try:
@@ -123,12 +130,10 @@ def test_too_many_connections_cause_one_line_and_service_resumes(capfd) -> None:
             assert time.monotonic() < end, text
             time.sleep(0.1)
             text += capfd.readouterr().err
+    finally:
         for connection in held:
             connection.close()
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
-        with shake_hands(viewer.url) as page:
-            assert len(page.recv(timeout=PATIENCE)) > 0
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, before)
-        viewer.close()
+    with shake_hands(viewer.url) as page:
+        assert len(page.recv(timeout=PATIENCE)) > 0
     assert len((text + capfd.readouterr().err).splitlines()) == 1

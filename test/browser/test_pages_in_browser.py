@@ -1,29 +1,32 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings in a real browser, and texts of other programs."""
+"""Pages of given frames and of recordings in a real browser, and texts of other programs."""
 
 import re
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 pytest.importorskip("viser")
 
-from browser import Browser, page_of, pixel, scene_of, wait_for_scene
+from browser import Browser, colour, pixel, scene_of
 from pages import Script
 from recorded_bags import rolling_messages, write_own
-from verb_process import start
+from verb_process import page_of, start
 
 from sphere_nmpc.child import stop_together
 from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import make_state
 from sphere_sim.cli.report import main
 from sphere_sim.report import report_files
 from sphere_sim.viewer.scene import LOOK_AT
-from sphere_sim.viewer.source import Capabilities, Frame
+from sphere_sim.viewer.source import Cancel, Capabilities, Enable, Frame, SetPoint
 from sphere_sim.viewer.viewer import Viewer
 
 pytestmark = pytest.mark.slow
+STATE = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 LENGTH = 10.0
 """Length of the recording [s]."""
 LURE = (
@@ -32,105 +35,106 @@ LURE = (
 )
 
 
+@pytest.fixture
+def script() -> Script:
+    return Script()
+
+
+@pytest.fixture
+def shown(script, page) -> Iterator[Browser]:
+    """Return the page of a viewer of the script."""
+    viewer = Viewer(script, 0, live=True)
+    page.meanwhile = viewer.tick
+    page.open(viewer.url)
+    yield page
+    viewer.close()
+
+
+def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(shown, script) -> None:
+    page = shown
+    script.next = [Frame(state=STATE, goal=Goal(STATE), capabilities=Capabilities(stop=True))]
+
+    def next_request() -> object:
+        page.wait(lambda: script.requests)
+        (request,) = script.requests
+        script.requests.clear()
+        return request
+
+    def wait_for_pointer(shown: bool) -> None:
+        """Wait until the page shows by its mouse pointer whether clicks have an effect."""
+        pointer = (
+            "[...document.querySelectorAll('canvas')].some(e => e.style.cursor === 'pointer')"
+        )
+        page.wait(lambda: page.evaluate(pointer) is shown, "the mouse pointer")
+
+    page.wait_for("Cancel")
+    scene_of(page)
+    for button, request in (
+        ("Stop", Enable(False)), ("Continue", Enable(True)), ("Cancel", Cancel())
+    ):
+        page.click_button(button)
+        assert next_request() == request
+    place = pixel(page, (0.8, -0.9, 0.0))
+    page.click(place)  # not enabled yet: nothing comes of it
+    page.check("point by click")
+    wait_for_pointer(True)
+    assert script.requests == []
+    page.click(place)
+    sent = next_request()
+    assert isinstance(sent, SetPoint)
+    assert sent.position == pytest.approx((0.8, -0.9), abs=0.05)
+    page.drag(place, (place[0] + 60.0, place[1]))  # turns the view
+    page.check("point by click")
+    wait_for_pointer(False)
+    page.click(place)
+    page.click_button("Stop")
+    assert next_request() == Enable(False)
+    assert page.console == []
+
+
+def test_walls_are_drawn_where_the_floor_is_occupied_and_go_with_it(shown, script) -> None:
+    page, cells = shown, np.zeros((40, 40), dtype=bool)
+    cells[20, 20] = True
+    # The cell is where a new page looks at; the others are towards the camera and away from it.
+    place, beside = np.array([*LOOK_AT[:2], 0.12]), np.array([0.4, -0.4, -0.12])
+    floor = Grid(cells, 0.2, (LOOK_AT[0] - 4.1, LOOK_AT[1] - 4.1, 0.0))
+    script.next = [Frame(state=STATE, floor=floor, clearance=0.25)]
+    page.wait_for("clearance of the plan 0.250 m")
+    scene_of(page)
+    page.wait(lambda: colour(page, place).mean() < 200.0, "no wall is drawn")
+    assert all(colour(page, place + side * beside).mean() > 225.0 for side in (1.0, -1.0))
+    script.next = [Frame(state=STATE)]
+    page.wait(lambda: "clearance" not in page.text)
+    page.wait(lambda: colour(page, place).mean() > 225.0, "the wall is still drawn")
+    assert page.console == []
+
+
 def nothing_of_it_ran(page: Browser) -> None:
     assert page.evaluate("window.ran === undefined")
     assert page.evaluate("document.querySelectorAll('iframe, img[src=\"x\"]').length") == 0
     assert not [url for url in page.requested if "a.example" in url or url.endswith("/x")]
 
 
-def test_recording_plays_to_its_end_seeks_and_continues(page, tmp_path) -> None:
-    bag = write_own(tmp_path / "bag", rolling_messages(LENGTH))
-    viewer = start(tmp_path, "viewer", "--port", "0", "--replay", str(bag))
-
-    def shown() -> float:
-        """Return the time that the page shows [s]."""
-        return float(re.search(r"t = ([\d.]+) s", page.text).group(1))
-
-    try:
-        page.wait(lambda: page_of(tmp_path))
-        # With the address anybody on this machine could send goals.
-        assert (tmp_path / "viewer.log").stat().st_mode & 0o077 == 0
-        page.open(page_of(tmp_path))
-        page.wait_for("recording")
-        wait_for_scene(page, tmp_path / "scene.png")
-        page.wait_for("recording, stopped")
-        page.wait(lambda: shown() == pytest.approx(LENGTH, abs=0.01))
-        at_the_end = scene_of(page, tmp_path / "end.png")
-        left, top, width, height = page.box(".mantine-Slider-track")
-        middle = top + 0.5 * height
-        page.drag((left + 0.99 * width, middle), (left + 0.25 * width, middle))
-        page.wait(lambda: shown() == pytest.approx(0.25 * LENGTH, abs=0.1 * LENGTH))
-        # A slow page draws the scene later.
-        page.wait(
-            lambda: np.mean(np.abs(scene_of(page, tmp_path / "then.png") - at_the_end)) > 0.5
-        )
-        chosen = shown()
-        page.click_button("Play")
-        page.wait(lambda: chosen < shown() < LENGTH)
-        page.click_button("Pause")
-        page.wait_for("recording, stopped")
-        assert page.console == []
-    finally:
-        stop_together([viewer])
-
-
-def test_walls_are_drawn_where_the_floor_is_occupied_and_go_with_it(page, tmp_path) -> None:
-    cells = np.zeros((40, 40), dtype=bool)
-    cells[20, 20] = True
-    # The cell is where a new page looks at; the others are towards the camera and away from it.
-    place, beside = np.array([*LOOK_AT[:2], 0.12]), np.array([0.4, -0.4, -0.12])
-    floor = Grid(cells, 0.2, (LOOK_AT[0] - 4.1, LOOK_AT[1] - 4.1, 0.0))
-    script, state = Script(), make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    script.next = [Frame(state=state, floor=floor, clearance=0.25)]
-    viewer = Viewer(script, 0, live=True)
-
-    def brightness(point: np.ndarray) -> float:
-        left, top, _, _ = map(int, page.box("canvas"))
-        x, y = pixel(page, tuple(point))
-        return float(scene_of(page, tmp_path / "scene.png")[int(y) - top, int(x) - left].mean())
-
-    try:
-        page.open(viewer.url)
-        page.wait(lambda: viewer.tick() or "clearance of the plan 0.250 m" in page.text)
-        wait_for_scene(page, tmp_path / "scene.png")
-        page.wait(lambda: brightness(place) < 200.0, "no wall is drawn")
-        assert all(brightness(place + side * beside) > 225.0 for side in (1.0, -1.0))
-        script.next = [Frame(state=state)]
-        page.wait(lambda: viewer.tick() or "clearance" not in page.text)
-        page.wait(lambda: brightness(place) > 225.0, "the wall is still drawn")
-        assert page.console == []
-    finally:
-        viewer.close()
-
-
-def test_text_of_other_programs_is_shown_as_text(page) -> None:
-    script, state = Script(), make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    can = Capabilities(reset=True, strategies=("paper", LURE))
+def test_text_of_other_programs_is_shown_as_text(shown, script) -> None:
+    page, can = shown, Capabilities(reset=True, strategies=("paper", LURE))
     script.next = [
-        Frame(state=state, mode=LURE, strategy=LURE, alerts=(f"up {LURE}",), capabilities=can)
+        Frame(state=STATE, mode=LURE, strategy=LURE, alerts=(f"up {LURE}",), capabilities=can)
     ]
     script.answer = f"refused {LURE}"
-    viewer = Viewer(script, 0, live=True)
 
-    def wait_for(text: str, times: int) -> None:
+    def wait_for(text: str, times: int = 1) -> None:
         """Wait until the page has a text; its notifications are hidden in tests."""
         script = "document.body ? document.body.textContent : ''"
-        page.wait(lambda: viewer.tick() or page.evaluate(script).count(text) >= times)
+        page.wait(lambda: page.evaluate(script).count(text) >= times)
 
-    try:
-        page.open(viewer.url)
-        wait_for(f"up {LURE}", 1)  # among the alerts
-        wait_for(LURE, 3)  # and again, with the mode
-        inputs = "[...document.querySelectorAll('input')]"
-        choice = f"{inputs}.some(e => e.value.startsWith('<img src=x'))"
-        page.wait(
-            lambda: viewer.tick() or page.evaluate(choice), "the strategy is not in its list"
-        )
-        page.click_button("Reset")
-        wait_for(f"refused {LURE}", 1)
-        nothing_of_it_ran(page)
-    finally:
-        viewer.close()
+    wait_for(f"up {LURE}")  # among the alerts
+    wait_for(LURE, 3)  # and again, with the mode
+    inputs = "[...document.querySelectorAll('input')]"
+    choice = f"{inputs}.some(e => e.value.startsWith('<img src=x'))"
+    page.wait(lambda: page.evaluate(choice), "the strategy is not in its list")
+    page.click_button("Reset")
+    wait_for(f"refused {LURE}")
+    nothing_of_it_ran(page)
 
 
 def test_text_of_bags_is_text_in_a_report(page, tmp_path, monkeypatch) -> None:
@@ -142,3 +146,37 @@ def test_text_of_bags_is_text_in_a_report(page, tmp_path, monkeypatch) -> None:
     page.wait_for(named)
     page.wait_for("sphere_nmpc")
     nothing_of_it_ran(page)
+
+
+def test_recording_plays_to_its_end_seeks_and_continues(page, tmp_path) -> None:
+    bag = write_own(tmp_path / "bag", rolling_messages(LENGTH))
+    viewer = start(tmp_path, "viewer", "--port", "0", "--replay", str(bag))
+
+    def time() -> float:
+        """Return the time that the page shows [s]."""
+        return float(re.search(r"t = ([\d.]+) s", page.text).group(1))
+
+    try:
+        page.wait(lambda: page_of(viewer))
+        # With the address anybody on this machine could send goals.
+        assert (tmp_path / "viewer.log").stat().st_mode & 0o077 == 0
+        page.open(page_of(viewer))
+        page.wait_for("recording")
+        scene_of(page)
+        page.wait_for("recording, stopped")
+        page.wait(lambda: time() == pytest.approx(LENGTH, abs=0.01))
+        at_the_end = scene_of(page)
+        left, top, width, height = page.box(".mantine-Slider-track")
+        middle = top + 0.5 * height
+        page.drag((left + 0.99 * width, middle), (left + 0.25 * width, middle))
+        page.wait(lambda: time() == pytest.approx(0.25 * LENGTH, abs=0.1 * LENGTH))
+        # A slow page draws the scene later.
+        page.wait(lambda: np.mean(np.abs(scene_of(page) - at_the_end)) > 0.5)
+        chosen = time()
+        page.click_button("Play")
+        page.wait(lambda: chosen < time() < LENGTH)
+        page.click_button("Pause")
+        page.wait_for("recording, stopped")
+        assert page.console == []
+    finally:
+        stop_together([viewer])

@@ -72,6 +72,8 @@ NOT_CHECKED = ("security", "pkg prefix", "topic list", "node list")
 """Commands of ros2 whose arguments do not depend on the package."""
 GOALS = ("goal_pose", "goal_point", "goals")
 """Topics on which a controller is given goals."""
+REFUSALS = (SphereNmpcError, AssertionError, TypeError, ValueError, RuntimeError)
+"""Of this file and the fields of messages, of settings, and of the launch file."""
 LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 OF_ROSBAG2 = ("/tf", "/tf_static", "/rosout", "/parameter_events")
@@ -79,10 +81,6 @@ OF_ROSBAG2 = ("/tf", "/tf_static", "/rosout", "/parameter_events")
 
 class WrongCommandError(AssertionError):
     """A documented command that would be refused or have no effect."""
-
-
-class UnknownParameterError(WrongCommandError):
-    """A parameter that the node does not declare."""
 
 
 def check_parameter(nodes: Sequence[str], name: str, text: str = "", live: bool = False) -> None:
@@ -96,20 +94,14 @@ def check_parameter(nodes: Sequence[str], name: str, text: str = "", live: bool 
                 if live and not known[field].live:
                     raise WrongCommandError(f"{name} of {node} cannot be changed while it runs")
                 if text:
-                    check_value(settings, field, yaml.safe_load(text))
+                    value = yaml.safe_load(text)
+                    value = tuple(value) if type(value) is list else value
+                    dataclasses.replace(settings, **{field: value})
                 return
-    raise UnknownParameterError(f"{' or '.join(nodes)} has no parameter {name}")
-
-
-def check_value(settings: Any, field: str, value: Any) -> None:
-    try:
-        dataclasses.replace(settings, **{field: tuple(value) if type(value) is list else value})
-    except SphereNmpcError as error:
-        raise WrongCommandError(str(error)) from None
+    raise WrongCommandError(f"{' or '.join(nodes)} has no parameter {name}")
 
 
 def check_own(verb: str, words: Sequence[str], inline: bool) -> None:
-    """Check the arguments of a verb by its own parser."""
     if verb not in PARSERS:
         if words and words[0] not in ("-h", "--help"):
             raise WrongCommandError(f"{verb} takes ROS arguments only, given {' '.join(words)}")
@@ -161,18 +153,16 @@ def check_launch(words: Sequence[str]) -> None:
     # A parameter file of the user need not exist.
     config = f"params_file:={ROOT}/config/sphere.yaml"
     words = [config if word.startswith("params_file:=") else word for word in arguments]
-    try:
-        given = [word for word in words if not word.startswith("-")]
-        started(*given, installed=["rviz2", "nav2_msgs"])
-    except (RuntimeError, ValueError) as error:
-        raise WrongCommandError(str(error)) from None
+    started(
+        *(word for word in words if not word.startswith("-")), installed=["rviz2", "nav2_msgs"]
+    )
 
 
 def check_assignment(word: str) -> None:
     """Check name:=value in running text, which is an argument of launch or a parameter."""
     try:
         check_launch([LAUNCH.name, word])
-    except WrongCommandError as error:
+    except REFUSALS as error:
         if "not an argument" not in str(error):
             raise
         name, _, value = word.partition(":=")
@@ -221,20 +211,17 @@ def fill(message: Any, values: Any) -> None:
         if value in ("auto", "now"):  # a header or time
             continue
         current = getattr(message, name)
-        try:
-            if isinstance(value, dict):
-                fill(current, value)
-            elif part := re.fullmatch(r"sequence<(\w+)/(\w+)>", fields[name]):
-                kind = getattr(import_module(f"{part[1]}.msg"), part[2])
-                setattr(message, name, [kind(check_fields=True) for _ in value])
-                for item, of_item in zip(getattr(message, name), value, strict=True):
-                    fill(item, of_item)
-            elif isinstance(current, array):
-                setattr(message, name, array(current.typecode, value))
-            else:
-                setattr(message, name, float(value) if isinstance(current, float) else value)
-        except (AssertionError, TypeError, ValueError) as error:
-            raise WrongCommandError(f"{name}: given {value!r}: {error}") from None
+        if isinstance(value, dict):
+            fill(current, value)
+        elif part := re.fullmatch(r"sequence<(\w+)/(\w+)>", fields[name]):
+            kind = getattr(import_module(f"{part[1]}.msg"), part[2])
+            setattr(message, name, [kind(check_fields=True) for _ in value])
+            for item, of_item in zip(getattr(message, name), value, strict=True):
+                fill(item, of_item)
+        elif isinstance(current, array):
+            setattr(message, name, array(current.typecode, value))
+        else:
+            setattr(message, name, float(value) if isinstance(current, float) else value)
 
 
 def check_ros2(words: Sequence[str], inline: bool) -> None:
@@ -293,7 +280,7 @@ def test_commands_in_documents_are_understood() -> None:
     for command in found:
         try:
             check(command)
-        except WrongCommandError as error:
+        except REFUSALS as error:
             wrong.append(f"{command}\n    {error}")
     assert not wrong, "\n".join(wrong)
     assert len({command.words[0] for command in found}) > 5
@@ -309,7 +296,7 @@ def test_commands_in_documents_are_understood() -> None:
         ("sphere_nmpc simulator --ros-args -p robot.shell_mass:=0.0", "shell_mass: given 0.0"),
         ("ros2 launch sphere_nmpc sphere.launch.py rvis:=true", "rvis: not an argument"),
         ("ros2 topic pub -t 3 /goal geometry_msgs/msg/PoseStamped", "/goal: not in"),
-        ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{data: a}'", "data: given"),
+        ("ros2 service call /simulator/pause std_srvs/srv/SetBool '{data: a}'", "'data' field"),
         ("ros2 topic pub -t 3 /goals nav_msgs/msg/Goals '{goals: [{x: 1}]}'", "has no field x"),
         ("ros2 topic pub --once /goal_point geometry_msgs/msg/PointStamped", "--once: perhaps"),
         ("ros2 param set /controller horizon 5", "cannot be changed while it runs"),
@@ -320,9 +307,8 @@ def test_commands_in_documents_are_understood() -> None:
 )
 def test_wrong_command_is_refused(line, wrong) -> None:
     (command,) = commands("a.md", f"```\n{line}\n```\n")
-    with pytest.raises(WrongCommandError) as caught:
+    with pytest.raises(REFUSALS, match=wrong):
         check(command)
-    assert wrong in str(caught.value)
 
 
 def test_documents_have_each_kind_of_condition_with_its_level() -> None:

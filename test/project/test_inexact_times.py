@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loops with inexact times, outliers, lost commands or other constants arrive all the same."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -21,6 +22,11 @@ pytestmark = pytest.mark.slow
 SCENARIOS = inexact_times.scenarios([1, 2, 3])
 
 
+@functools.cache
+def run(scenario: int, poses: str, commands: str, rate: int) -> tuple[float, ...]:
+    return inexact_times.run(SCENARIOS[scenario], poses, commands, rate, False, 14.0)
+
+
 @pytest.mark.parametrize(
     ("poses", "commands", "rate", "scenario"),
     [
@@ -35,9 +41,7 @@ SCENARIOS = inexact_times.scenarios([1, 2, 3])
 def test_loop_with_inexact_times_arrives_within_twice_the_exact_time(
     poses: str, commands: str, rate: int, scenario: int
 ) -> None:
-    given = (SCENARIOS[scenario], rate, False, 14.0)
-    exact = inexact_times.run(given[0], "exact", "in time", *given[1:])
-    found = inexact_times.run(given[0], poses, commands, *given[1:])
+    exact, found = run(scenario, "exact", "in time", rate), run(scenario, poses, commands, rate)
     assert found[0] <= 2.0 * exact[0]
     assert found[1] < exact[1] + 0.1, "not farther from the goal than at the start"
     if commands == "in time":

@@ -1,12 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scripts of bench/: all can be imported, generated files are up to date, an ablation ablates."""
+"""Scripts of bench/ and examples without ROS, and what documents have of them."""
 
+import re
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -14,11 +17,14 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 import ablation
+from documented_examples import EXAMPLES, forms, printed, run_example, section
 from parameter_tables import NODES, OF_ROBOT, PARTS, outputs, parameters_yaml
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation import estimator
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.floor.route import in_sight, route_to
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -32,6 +38,13 @@ BENCH = Path(__file__).parents[2] / "bench"
 def test_script_can_be_imported(script, monkeypatch) -> None:
     monkeypatch.setattr(sys, "path", [str(script.parent), *sys.path])
     assert "__doc__" in runpy.run_path(str(script), run_name="imported")
+
+
+@pytest.mark.slow
+def test_no_instant_of_the_walk_makes_more_calls_than_committed() -> None:
+    command = [sys.executable, str(BENCH / "walk.py"), "--counts"]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, f"{found.stdout}{found.stderr}"
 
 
 @pytest.mark.parametrize(
@@ -69,16 +82,57 @@ def test_file_is_up_to_date(path) -> None:
 @pytest.mark.parametrize("node", NODES)
 def test_yaml_gives_the_defaults_back(node) -> None:
     given = yaml.safe_load(parameters_yaml())[f"/**/{node}"]["ros__parameters"]
-    robot = given.pop("robot", None)
     given.pop("use_sim_time", None)
     expected = values(NODES[node])
     for prefix, _, settings in PARTS[node]:
-        if prefix:
-            assert given.pop(prefix) == values(settings)
-        else:
-            expected |= values(settings)
+        expected |= {prefix: values(settings)} if prefix else values(settings)
+    if node in OF_ROBOT:
+        expected["robot"] = values(RobotParameters())
     assert {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()} == expected
-    assert robot == (values(RobotParameters()) if node in OF_ROBOT else None)
     for key, value in given.items():
         # YAML 1.1 reads some numbers as text.
         assert isinstance(value, list) or type(value) is type(expected[key])
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+def test_what_the_tutorial_quotes_is_in_the_example(name) -> None:
+    assert f"(../examples/{name})" in section(name)
+    source = (EXAMPLES / name).read_text(encoding="utf-8")
+    for excerpt in printed(name, "python"):
+        assert excerpt in source
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "arrival", "number"),
+    [("own_plant.py", r"settled after ([\d.]+) s; at the goal", 1),
+     ("own_strategy.py", r"after ([\d.]+) s", 2)],
+)
+def test_example_arrives_and_prints_what_the_tutorial_says(name, arrival, number) -> None:
+    done = run_example(name)
+    assert done.returncode == 0, done.stderr
+    (documented,) = printed(name, "text")
+    assert forms(done.stdout) == forms(documented)
+    arrivals = re.findall(arrival, done.stdout)
+    assert len(arrivals) == number and max(map(float, arrivals)) < 9.0
+    if name == "own_plant.py":
+        learnt, true, told = map(float, re.findall(r"0\.01\d+", done.stdout.splitlines()[-1]))
+        assert abs(learnt - true) < 0.1 * abs(told - true)
+
+
+def test_robot_of_ones_own_is_the_same_in_both_nodes_and_has_to_go_around_the_table() -> None:
+    nodes = yaml.safe_load((EXAMPLES / "own_robot.yaml").read_text(encoding="utf-8"))
+    simulator, controller = (nodes[f"/**/{n}"]["ros__parameters"] for n in (
+        "simulator", "controller"
+    ))
+    assert simulator["robot"] == controller["robot"]
+    assert simulator["map_file"] == controller["map_file"] == "examples/room.yaml"
+    radius, start = simulator["robot"]["shell_radius"], simulator["initial_state"][:2]
+    settings = FloorSettings(
+        map_file=str(EXAMPLES / "room.yaml"), clearance=controller["clearance"]
+    )
+    floor = settings.whole(radius)
+    ends = np.array([start, [1.5, 0.5]])
+    assert floor.distances(ends).min() > 2.0 * radius
+    assert not in_sight(floor, ends[0], ends[1:], floor.needed)[0]
+    assert route_to(floor, ends[1]).length(ends[0]) < 5.0

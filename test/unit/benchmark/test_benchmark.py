@@ -4,7 +4,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,18 +25,18 @@ pytestmark = pytest.mark.slow
 
 
 class Idle:
-    """Keeps the rotors at rest, with times that another process measured; may fail."""
-
-    def __init__(self, raises=False):
-        self._raises = raises
+    """Keeps the rotors at rest, with times that another process measured."""
 
     def start(self, goal):
         pass
 
     def solve(self, state, input_in_force):
-        if self._raises:
-            raise ArithmeticError
         return Answer(np.zeros(2), True, (2.0, 1.0))
+
+
+class Failing(Idle):
+    def solve(self, state, input_in_force):
+        raise ArithmeticError
 
 
 def records_of(makers, cases, samples) -> dict[str, SolverRecord]:
@@ -86,27 +85,23 @@ def test_solver_that_cannot_be_set_up_is_reported_with_the_reason():
 
 
 def test_failures_times_and_runs_that_never_settle_are_counted():
-    records = records_of({"idle": Idle, "raising": lambda: Idle(raises=True)}, (2,), 3)
+    records = records_of({"idle": Idle, "raising": Failing}, (2,), 3)
     numbers = as_numbers(records, {})["solvers"]
     assert numbers["idle"]["failures"] == 0 and numbers["raising"]["failures"] == 3
     assert numbers["idle"]["settle_s"] == [None] and numbers["raising"]["solves"] == 3
     assert records["idle"].wall == [2.0] * 3 and records["idle"].cpu == [1.0] * 3
 
 
-def script(folder: Path, text: str) -> str:
-    """Return a stand-in for the other Python, which runs `text` with this one."""
-    path = folder / "python"
-    path.write_text(f"#!{sys.executable}\n{text}\n")
-    path.chmod(0o755)
-    return str(path)
-
-
 def test_answers_of_acados_come_from_another_python(tmp_path):
-    with pytest.raises(RuntimeError, match="/no/such/python does not start: No such file"):
-        Acados("sqp", "/no/such/python")
-    with pytest.raises(RuntimeError, match="No module named 'acados"):
-        Acados("sqp", sys.executable)
-    stand_in = (
+    for python, words in (
+        ("/no/such/python", "/no/such/python does not start: No such file"),
+        (sys.executable, "No module named 'acados"),
+    ):
+        with pytest.raises(RuntimeError, match=words):
+            Acados("sqp", python)
+    stand_in = tmp_path / "python"
+    stand_in.write_text(
+        f"#!{sys.executable}\n"
         "import sys; sys.path.append(sys.argv[3])\n"
         "from sphere_nmpc.channel import Channel, encoded\n"
         "channel = Channel.inherited(int(sys.argv[-1])); channel.send(encoded(''))\n"
@@ -115,7 +110,8 @@ def test_answers_of_acados_come_from_another_python(tmp_path):
         "    inputs = [2.0, in_force[0] / 100.0]\n"
         "    channel.send(encoded((status, 7.0, float(starts), inputs)))\n"
     )
-    acados = Acados("sqp", script(tmp_path, stand_in))
+    stand_in.chmod(0o755)
+    acados = Acados("sqp", str(stand_in))
     case = PAPER_CASES[1]
     acados.start(case.goal)
     first = acados.solve(case.start, np.array([30.0, 0.0]))
@@ -127,12 +123,10 @@ def test_answers_of_acados_come_from_another_python(tmp_path):
         acados.solve(case.start, np.zeros(2))
 
 
-QUICK = ["--quick", "--cases", "3", "--duration", "2", "--budget", "1"]
-
-
 def test_command_writes_numbers_table_and_figure(tmp_path, capsys):
     path = tmp_path / "deep" / "benchmark.json"
-    assert main(["--json", str(path), "--random", "5", *QUICK]) == 0
+    words = "--quick --cases 3 --duration 2 --budget 1 --random 5 --json"
+    assert main([*words.split(), str(path)]) == 0
     report = json.loads(path.read_text())
     for name in (ALGORITHM_1, PLAN_KEEPING):
         ours = report["solvers"][name]
@@ -150,6 +144,5 @@ def test_command_writes_numbers_table_and_figure(tmp_path, capsys):
     ids=" ".join,
 )
 def test_invalid_arguments_are_refused(wrong, tmp_path):
-    with pytest.raises(SystemExit) as stopped:
+    with pytest.raises(SystemExit, match="2"):
         main(["--json", str(tmp_path / "x.json"), *wrong])
-    assert stopped.value.code == 2

@@ -22,19 +22,13 @@ from sphere_sim.evaluation.metrics import (
 GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-def random_states(number: int) -> np.ndarray:
-    rng = np.random.default_rng(3)
-    states = rng.normal(size=(number, 6))
-    states[:, 2:] /= np.linalg.norm(states[:, 2:], axis=1, keepdims=True)
-    return states
-
-
 @pytest.mark.parametrize(
     ("of_many", "of_one"),
     [(state_errors, state_error), (position_errors, position_error), (angle_errors, angle_error)],
 )
 def test_errors_over_time_are_those_of_each_state(of_many, of_one) -> None:
-    states = random_states(50)
+    states = np.random.default_rng(3).normal(size=(50, 6))
+    states[:, 2:] /= np.linalg.norm(states[:, 2:], axis=1, keepdims=True)
     expected = [of_one(state, GOAL) for state in states]
     np.testing.assert_allclose(of_many(states, GOAL), expected, rtol=1e-12)
 

@@ -60,6 +60,9 @@ def test_columns_may_come_in_any_order_with_extras_and_blank_lines(tmp_path) -> 
         ([HEADER + ",seed", ROW + ",1.5"], 2, "seed", "'1.5'"),
         ([HEADER + ",seed", ROW + ",2147483648"], 2, "seed", "'214748364"),
         ([HEADER + ",who", f"{ROW},{'x' * 200_000}"], 2, "", "field larger than field limit"),
+        ([HEADER + ",push_x,push_y", ROW + ",1,0"], 2, "push_time", ""),
+        ([HEADER + ",push_x,push_y,push_time", ROW + ",1,far,1"], 2, "push_y", "'far'"),
+        ([HEADER + ",slope", ROW + ",2"], 2, "slope", ""),
     ],
 )
 def test_bad_file_is_refused_with_line_and_column(tmp_path, lines, line, column, given) -> None:
@@ -78,20 +81,6 @@ def test_push_and_disturbances_are_optional_columns_and_may_be_empty(tmp_path) -
     assert list(pushed.optional.items()) == [
         ("push_x", 0.5), ("push_y", -0.25), ("push_time", 1.5), ("slope", 0.01)
     ]
-
-
-@pytest.mark.parametrize(
-    ("column", "cells"),
-    [
-        ("push_time", {"push_x": "1", "push_y": "0"}),
-        ("push_y", {"push_x": "1", "push_y": "far", "push_time": "1"}),
-        ("slope", {"slope": "2"}),
-    ],
-)
-def test_bad_push_or_disturbance_is_named_by_its_column(tmp_path, column, cells) -> None:
-    path = write(tmp_path, ",".join([HEADER, *cells]), ",".join([ROW, *cells.values()]))
-    error = error_of(path)
-    assert (error.line, error.column) == (2, column)
 
 
 def test_what_is_no_file_is_refused_unread(tmp_path) -> None:

@@ -21,7 +21,7 @@ MANY = draw_scenarios(400, 3, "upright")
 RANGE = DisturbanceDraws(push=(0.5, 1.0))
 
 
-def drawn(draws: DisturbanceDraws) -> list[Scenario]:
+def disturbed(draws: DisturbanceDraws) -> list[Scenario]:
     return [draws.applied_to(scenario) for scenario in MANY]
 
 
@@ -47,9 +47,7 @@ def test_cases_are_those_of_section_4() -> None:
 
 def test_random_scenarios_depend_on_seed_and_index_alone() -> None:
     few, many, other = draw_scenarios(3, 7), draw_scenarios(200, 7), draw_scenarios(3, 8)
-    for a, b in zip(few, many, strict=False):
-        np.testing.assert_array_equal([a.start, a.goal], [b.start, b.goal])
-        assert a.seed == b.seed
+    np.testing.assert_equal([asdict(it) for it in few], [asdict(it) for it in many[:3]])
     assert not np.any(other[0].start == few[0].start)
     assert len({scenario.seed for scenario in many}) == 200
 
@@ -66,7 +64,8 @@ def test_positions_and_orientations_are_uniform() -> None:
     np.testing.assert_allclose(np.mean(ends[:, 2:] ** 2, axis=0), 0.25, atol=0.02)
 
 
-def test_each_kind_is_as_it_says() -> None:
+def test_each_kind_is_as_it_says_and_offered_by_the_verb() -> None:
+    assert tuple(DRAWS) == _KINDS
     for kind, low, high in (("far", 10.0, 60.0), ("kilometre", 1000.0, 1000.0)):
         apart = [np.linalg.norm(s.goal[:2] - s.start[:2]) for s in draw_scenarios(200, 1, kind)]
         assert low <= min(apart) + 1e-9 < low + 2.0 and high - 2.0 < max(apart) <= high + 1e-9
@@ -85,10 +84,6 @@ def test_each_kind_is_as_it_says() -> None:
         assert (x == y or not x or not y) and max(x, y) <= 10.0
 
 
-def test_the_verb_offers_every_kind() -> None:
-    assert tuple(DRAWS) == _KINDS
-
-
 def test_every_physical_parameter_varies_within_its_range_and_limits_stay() -> None:
     def draw(seed: int) -> dict[str, float]:
         return asdict(perturbed(ROBOT, 0.2, np.random.default_rng(seed)))
@@ -103,9 +98,6 @@ def test_every_physical_parameter_varies_within_its_range_and_limits_stay() -> N
             ratios = drawn / nominal
             assert np.all(np.abs(ratios - 1.0) <= 0.2 + 1e-12)
             assert ratios.min() < 0.85 and ratios.max() > 1.15
-
-
-def test_fraction_of_zero_is_the_same_robot_and_one_out_of_range_is_refused() -> None:
     assert perturbed(ROBOT, 0.0, np.random.default_rng(0)) is ROBOT
     for fraction in (-0.1, 1.0, float("nan")):
         with pytest.raises(InvalidParameterError):
@@ -113,17 +105,17 @@ def test_fraction_of_zero_is_the_same_robot_and_one_out_of_range_is_refused() ->
 
 
 def test_pushes_are_uniform_in_impulse_direction_and_time_which_may_be_given() -> None:
-    found = [scenario.push for scenario in drawn(RANGE)]
+    found = [scenario.push for scenario in disturbed(RANGE)]
     assert is_uniform([float(np.hypot(*push.impulse)) for push in found], 0.5, 1.0)
     assert is_uniform([np.arctan2(*push.impulse) for push in found], -np.pi, np.pi)
     assert is_uniform([push.time for push in found], 0.5, 3.0)
-    timed = [scenario.push for scenario in drawn(replace(RANGE, push_time=7.0))]
+    timed = [scenario.push for scenario in disturbed(replace(RANGE, push_time=7.0))]
     assert timed == [Push(7.0, push.impulse) for push in found]
 
 
 def test_each_draw_is_the_same_whatever_else_is_drawn() -> None:
-    everything = drawn(replace(RANGE, slope=0.01, offset=2e-3))
-    alone = zip(drawn(RANGE), drawn(DisturbanceDraws(slope=0.01)), strict=True)
+    everything = disturbed(replace(RANGE, slope=0.01, offset=2e-3))
+    alone = zip(disturbed(RANGE), disturbed(DisturbanceDraws(slope=0.01)), strict=True)
     for together, (pushed, tilted) in zip(everything, alone, strict=True):
         assert together.push == pushed.push
         assert tilted.disturbances.items() <= together.disturbances.items()

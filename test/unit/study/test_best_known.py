@@ -35,9 +35,7 @@ PUSHED = np.concatenate((SCENARIOS[0].start, PUSH))
 SLOPE = Disturbance(slope_torque(ROBOT, 0.01, 1.0))
 
 
-def times(
-    motions: list[Motion] = MOTIONS, robot: RobotParameters = ROBOT
-) -> list[BestKnownTimes]:
+def times(motions: list[Motion] = MOTIONS, robot: RobotParameters = ROBOT) -> list[BestKnownTimes]:
     with Workers() as workers:
         return best_known_times(motions, robot, workers)
 
@@ -45,13 +43,6 @@ def times(
 def numbered(last: int) -> list[BestKnownTimes]:
     """Return the results of the searches that the fixture `searched` stands in for."""
     return [BestKnownTimes(float(number), 0.5 * number) for number in range(1, last + 1)]
-
-
-@pytest.fixture(autouse=True)
-def brief(monkeypatch) -> None:
-    """Spend little on each search: these tests do not need short times."""
-    monkeypatch.setattr(best_known, "EFFORT", 60_000)
-    monkeypatch.setattr(best_known, "SEARCHES", 1)
 
 
 @pytest.fixture
@@ -73,16 +64,10 @@ def searched(cache, monkeypatch) -> list[tuple[Motion, RobotParameters]]:
     return made
 
 
-def test_times_are_kept_and_found_again(cache, monkeypatch) -> None:
+def test_times_are_kept_and_found_again(cache, searched) -> None:
     found = times()
     kept = [tuple(line[1:]) for line in map(json.loads, cache.read_text().splitlines())]
-    assert kept == found
-
-    def search(motion: Motion, robot: object, factor: float) -> BestKnownTimes:
-        raise AssertionError("searched for again")
-
-    monkeypatch.setattr(best_known, "best_known_time", search)
-    assert times() == found
+    assert kept == found == times() == numbered(2)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +108,14 @@ def test_motion_of_a_run_begins_at_its_push() -> None:
     np.testing.assert_allclose(pushed.start[MOMENTUM], [12.5, 25.0, 0.0])
 
 
-def test_pushed_sphere_needs_time_also_at_its_goal() -> None:
+def test_fastest_motion_is_found_and_a_pushed_sphere_needs_time_also_at_its_goal(
+    monkeypatch,
+) -> None:
+    # Little is spent on each search: no short times are needed here.
+    monkeypatch.setattr(best_known, "EFFORT", 60_000)
+    monkeypatch.setattr(best_known, "SEARCHES", 1)
+    found = best_known_time(MOTIONS[0], ROBOT)
+    assert 0.25 < found.settling < found.duration < 20.0
     upright = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     start = np.concatenate((upright, PUSH))
     held = Motion(start, upright, rest_speeds(PUSH, upright[2:]))

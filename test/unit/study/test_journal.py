@@ -34,10 +34,6 @@ def lines(tmp_path, records) -> list[str]:
     return (tmp_path / NAME).read_text().splitlines()
 
 
-def damaged(line: str, **changes: object) -> str:
-    return json.dumps({**json.loads(line), **changes})
-
-
 def opened(folder: Path, lines: list[str]) -> dict[int, RunRecord]:
     (folder / NAME).write_text("".join(line + "\n" for line in lines))
     with Journal(folder, FINGERPRINT) as journal:
@@ -52,8 +48,8 @@ def texts(records: dict[int, RunRecord]) -> dict[int, str]:
 BAD = {
     "rubbish": lambda line: "rubbish",
     "deep": lambda line: "[" * 100_000,
-    "run 77 of 4": lambda line: damaged(line, run=77),
-    "no strategy": lambda line: damaged(line, results={"settled": True}),
+    "run 77 of 4": lambda line: json.dumps(json.loads(line) | {"run": 77}),
+    "no strategy": lambda line: json.dumps(json.loads(line) | {"results": {"settled": True}}),
     "error NaN": lambda line: line.replace('"final_error": ', '"final_error": NaN, "a": '),
     "t huge": lambda line: line.replace('"t": [0.0', '"t": [1e999'),
     "t too short": lambda line: line.replace('"t": [0.0, ', '"t": ['),

@@ -10,7 +10,7 @@ import pytest
 from robots import HEAVY_ROTORS
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.rotation import random_quaternion, vertical
+from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, make_state
 from sphere_sim.study.lower_bound import _largest_gain, lower_bound
 from sphere_sim.world.plant import rolling_plant
@@ -77,9 +77,7 @@ def test_straight_rolling_attains_the_bound(robot, steady, peak) -> None:
 @pytest.mark.parametrize("angle", [0.3, 3.1])
 def test_turn_about_a_vertical_diagonal_attains_the_bound(robot, angle) -> None:
     # Body (1, 1, 0) is upwards: half a turn about the bisector of it and the z axis.
-    half = np.array([0.5, 0.5, DIAGONAL])
-    start = make_state([0.0, 0.0], [0.0, *half])
-    np.testing.assert_allclose(vertical(start[QUATERNION]), [DIAGONAL, DIAGONAL, 0.0], atol=1e-12)
+    start = make_state([0.0, 0.0], [0.0, 0.5, 0.5, DIAGONAL])
     constants = robot.lumped
     fastest = constants.input_gain / (1.0 - constants.transverse_ratio) * math.sqrt(2.0) * 100.0
     knots = trapezoid(
@@ -93,21 +91,22 @@ def test_turn_about_a_vertical_diagonal_attains_the_bound(robot, angle) -> None:
     assert lower_bound(start, goal, robot) == pytest.approx(seconds, abs=ATTAINED)
 
 
-def test_bounds_by_hand() -> None:
+def test_bounds_by_hand(monkeypatch) -> None:
+    # Nearby goals need no table.
+    monkeypatch.setattr("sphere_sim.study.lower_bound.displacement_table", None)
     upright = make_state([0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
     fastest = 0.3 * TABLE_1.lumped.input_gain * math.sqrt(2.0) * 100.0
-    # The horizontal body (1, -1, 0) is across the way.
-    away = make_state([10.0 * DIAGONAL, 10.0 * DIAGONAL], [1.0, 0.0, 0.0, 0.0])
-    assert lower_bound(upright, away, TABLE_1) == pytest.approx(10.0 / fastest + 0.25, rel=1e-12)
     # A triangle of 0.01 m: its peak is a T / 2.
     near = make_state([0.01, 0.0], [1.0, 0.0, 0.0, 0.0])
     triangle = math.sqrt(4.0 * 0.01 / (4.0 * fastest))
     assert lower_bound(upright, near, TABLE_1) == pytest.approx(triangle, rel=1e-12)
+    away = make_state([0.3, 0.2], [1.0, 0.0, 0.0, 0.0])
+    assert lower_bound(upright, away, TABLE_1) > 0.25
     over = make_state([0.0, 0.0], [0.0, 1.0, 0.0, 0.0])
     rolled = 0.3 * math.pi / fastest + 0.25
     assert lower_bound(upright, over, TABLE_1) == pytest.approx(rolled, rel=1e-9)
-    assert lower_bound(upright, upright, TABLE_1) == 0.0
-    assert lower_bound(upright, -upright, TABLE_1) == 0.0  # the other sign of the quaternion
+    for same in (upright, -upright):  # which has the other sign of the quaternion
+        assert lower_bound(upright, same, TABLE_1) == 0.0
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=NAMES)
@@ -143,12 +142,6 @@ def test_orientations_that_cannot_roll_straight_on_raise_the_bound_of_far_goals(
         lost.append(lower_bound(start, goal, TABLE_1) - distance / fastest - 0.25)
     assert lost[0] > 0.02
     assert lost[1] == pytest.approx(lost[0], rel=1e-9)
-
-
-def test_nearby_goals_need_no_table(monkeypatch) -> None:
-    monkeypatch.setattr("sphere_sim.study.lower_bound.displacement_table", None)
-    start, goal = (make_state(place, [1.0, 0.0, 0.0, 0.0]) for place in ([0.0, 0.0], [0.3, 0.2]))
-    assert lower_bound(start, goal, TABLE_1) > 0.25
 
 
 def test_torque_limit_is_one_of_both_rotors_together() -> None:

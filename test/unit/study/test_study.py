@@ -14,9 +14,7 @@ import pytest
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
-from sphere_sim.scenario.scenarios import (
-    draw_scenarios,
-)
+from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
 from sphere_sim.study.motion import Motion
@@ -31,10 +29,10 @@ SCENARIOS += [replace(SCENARIOS[0], goal=SCENARIOS[0].start)]
 SHORT = StudyConditions(duration=1.0).with_settings([("controller.strategy", "paper")])
 
 
-def make(folder: Path, **changes: Any) -> dict[str, dict[str, Any]]:
-    study = Study(SCENARIOS, SHORT, folder)
+def make(folder: Path, *how: Any, **changes: Any) -> dict[str, dict[str, Any]]:
+    study = replace(Study(SCENARIOS, SHORT, folder), **changes)
     with Workers() as workers:
-        return replace(study, **changes).run(workers)
+        return study.run(workers, *how)
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -42,19 +40,12 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def repeatable(row: dict[str, str]) -> dict[str, str]:
-    return {name: cell for name, cell in row.items() if not name.startswith("solve_ms_")}
-
-
-def stop_after(runs: int):
-    seen = []
-
-    def observe(record: RunRecord) -> None:
-        seen.append(record)
-        if len(seen) == runs:
-            raise KeyboardInterrupt
-
-    return observe
+def repeatable(folder: Path) -> list[dict[str, str]]:
+    """Return the rows without the times of solves."""
+    return [
+        {name: cell for name, cell in row.items() if not name.startswith("solve_ms_")}
+        for row in rows(folder)
+    ]
 
 
 @pytest.fixture(autouse=True)
@@ -104,18 +95,24 @@ def test_pushes_and_disturbances_are_columns_that_can_be_run_again(tmp_path) -> 
 
 
 def test_stopped_study_continues_with_the_same_results(done, tmp_path) -> None:
-    with pytest.raises(KeyboardInterrupt), Workers() as workers:
-        Study(SCENARIOS, SHORT, tmp_path).run(workers, observer=stop_after(2))
+    seen = []
+
+    def stop_after_two(record: RunRecord) -> None:
+        seen.append(record)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path, None, stop_after_two)
     assert not (tmp_path / "runs.csv").exists()
     journal = tmp_path / "journal.jsonl"
     assert len(journal.read_bytes().splitlines()) == 3
     # The second run was being written when everything stopped.
     journal.write_bytes(journal.read_bytes()[:-40])
-    seen = []
-    with Workers() as workers:
-        Study(SCENARIOS, SHORT, tmp_path).run(workers, observer=seen.append)
+    seen.clear()
+    make(tmp_path, None, seen.append)
     assert len(seen) == 3
-    assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
+    assert repeatable(tmp_path) == repeatable(done)
     assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()
 
 
@@ -143,19 +140,16 @@ def test_two_studies_do_not_write_into_one_folder(tmp_path) -> None:
             make(tmp_path)
         refused.append(caught.value)
 
-    with Workers() as workers:
-        Study(SCENARIOS[:1], SHORT, tmp_path).run(workers, observer=second)
+    make(tmp_path, None, second, scenarios=SCENARIOS[:1])
     assert len(refused) == 1
 
 
 def test_strategies_side_by_side_keep_the_layout_of_one(done, tmp_path) -> None:
     summaries = make(tmp_path, strategies=("paper", "time_optimal"))
     assert list(summaries) == ["paper", "time_optimal"]
-    paper = [repeatable(row) for row in rows(tmp_path / "paper")]
-    assert paper == [repeatable(row) for row in rows(done)]
-    both = rows(tmp_path)
+    paper, both = repeatable(tmp_path / "paper"), repeatable(tmp_path)
+    assert paper == repeatable(done) == both[:3]
     assert [row["strategy"] for row in both] == ["paper"] * 3 + ["time_optimal"] * 3
-    assert [repeatable(row) for row in both[:3]] == paper
 
 
 def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) -> None:
@@ -166,9 +160,8 @@ def test_ratio_of_a_pushed_run_counts_from_the_push_for_each_strategy(tmp_path) 
         seen.extend(motions)
         return [0.5 * (i + 1) for i in range(len(motions))]
 
-    with Workers() as workers:
-        study = Study([at_goal, SCENARIOS[2]], SHORT, tmp_path, ("paper", "time_optimal"))
-        study.run(workers, best_known)
+    pair = ("paper", "time_optimal")
+    make(tmp_path, best_known, scenarios=[at_goal, SCENARIOS[2]], strategies=pair)
     assert [motion.starts_in_model_of_paper for motion in seen] == [False, True] * 2
     assert [row["bound_s"] for row in rows(tmp_path)] == ["0.5", "1.0", "1.5", "2.0"]
     assert [row["ratio"] for row in rows(tmp_path / "time_optimal")] == ["0.0"] * 2
@@ -178,8 +171,8 @@ def test_search_that_is_stopped_leaves_all_other_results(done, tmp_path) -> None
     def best_known(motions: list[Motion]) -> list[float]:
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), Workers() as workers:
-        Study(SCENARIOS, SHORT, tmp_path).run(workers, best_known)
-    assert [repeatable(row) for row in rows(tmp_path)] == [repeatable(row) for row in rows(done)]
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path, best_known)
+    assert repeatable(tmp_path) == repeatable(done)
     assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 3
     assert (tmp_path / "inputs.npz").read_bytes() == (done / "inputs.npz").read_bytes()

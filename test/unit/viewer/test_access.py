@@ -85,25 +85,21 @@ def test_page_and_websocket_need_the_token_once(server, query) -> None:
 
 def test_page_is_redirected_to_its_websocket(server) -> None:
     assert refusal(server.url, protocol="viser-v0.0.1").endswith("reload the page")
-    with urllib.request.urlopen(server.url, timeout=PATIENCE) as page:
-        page_url = page.url
-        assert page.status == 200 and b"<html" in page.read()
-    assert f"ws://127.0.0.1:{server.get_port()}/?token=" in page_url
     # A page with the address of another WebSocket is redirected to the own one.
-    lured = f"{server.url}&websocket=ws://evil.example"
-    with urllib.request.urlopen(lured, timeout=PATIENCE) as page:
-        assert page.url == page_url
+    pages = []
+    for url in (server.url, f"{server.url}&websocket=ws://evil.example"):
+        with urllib.request.urlopen(url, timeout=PATIENCE) as page:
+            assert page.status == 200 and b"<html" in page.read()
+            pages.append(page.url)
+    assert f"ws://127.0.0.1:{server.get_port()}/?token=" in pages[0] == pages[1]
 
 
-def test_another_port_is_used_if_the_preferred_one_is_taken(capsys) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        taken = other.getsockname()[1]
-        server = LocalServer(taken)
-        try:
-            free = server.get_port()
-            assert free != taken and get(server.url)[0] == 200
-        finally:
-            server.stop()
+def test_another_port_is_used_if_the_preferred_one_is_taken(server, capsys) -> None:
+    taken = server.get_port()
+    other = LocalServer(taken)
+    free = other.get_port()
+    assert free != taken and get(other.url)[0] == 200
+    other.stop()
     text = f"viewer: port {taken}: address already in use; using {free}\n"
     assert capsys.readouterr() == ("", text)
 

@@ -74,7 +74,7 @@ def test_seek_speed_pause_and_reset(replay, wall) -> None:
     assert "recording" in replay.handle(SetGoal(np.zeros(6)))
 
 
-def test_plan_solve_goal_and_momentum_are_those_at_the_time_of_the_frame(replay) -> None:
+def test_plan_solve_goal_momentum_and_floor_are_those_at_the_time_of_the_frame(replay) -> None:
     replay.handle(Seek(4.0))
     before = replay.frames()[-1]
     assert len(before.plan) == 0 and np.isnan([before.cost, *before.momentum]).all()
@@ -88,9 +88,6 @@ def test_plan_solve_goal_and_momentum_are_those_at_the_time_of_the_frame(replay)
     assert (frame.cost, frame.solve_time, frame.mode) == (7.0, 2e-3, "solved")
     assert np.isnan(frame.to_go), "this solve reports no arrival"
     assert frame.goal.pose[0] == DURATION and frame.momentum.tolist() == MOMENTUM.tolist()
-
-
-def test_floor_and_clearance_are_those_at_the_time_of_the_frame(replay) -> None:
     for moment, floor, clearance in ((1.0, None, np.nan), (4.0, GRID, 0.125), (9.0, None, 0.125)):
         replay.handle(Seek(moment))
         frame = replay.frames()[-1]

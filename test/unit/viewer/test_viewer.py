@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Viewer without a browser: address, requests, goal, scene and plots."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import make_state, state_error
+from sphere_sim.viewer.geometry import Mesh, merged, octants, sector
 from sphere_sim.viewer.goal import GOAL_PRESETS
 from sphere_sim.viewer.plots import History
 from sphere_sim.viewer.scene import on_floor
@@ -54,6 +55,15 @@ def at(x: float, y: float, **more) -> Frame:
     return Frame(state=make_state((x, y), UPRIGHT), capabilities=Capabilities(pause=True), **more)
 
 
+@pytest.fixture
+def show(viewer, script) -> Callable[[Frame], None]:
+    def show(frame: Frame) -> None:
+        script.next, viewer._panel_updated = [frame], 0.0
+        viewer.tick()
+
+    return show
+
+
 def test_pages_cannot_open_a_tunnel(viewer, monkeypatch) -> None:
     tunnels: list[object] = []
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *how: tunnels.append(how))
@@ -61,18 +71,16 @@ def test_pages_cannot_open_a_tunnel(viewer, monkeypatch) -> None:
     assert not tunnels
 
 
-def test_goal_is_sent_at_the_end_of_a_drag(viewer, script) -> None:
+def test_goal_is_sent_at_the_end_of_a_drag(show, viewer, script) -> None:
     viewer.tick()
     assert viewer._scene._ball is None and viewer._goal is None, "without a state"
-    script.next = [at(1.0, 2.0)]
-    viewer.tick()
+    show(at(1.0, 2.0))
     gizmo = viewer._goal
     viewer._panel.put(DragGoal(ended=False))
     viewer.tick()
     gizmo._position.position = (0.5, -0.5, 0.3)
     in_force = make_state((3.0, 3.0), (0.5, 0.5, 0.5, 0.5))
-    script.next = [at(1.0, 2.0, goal=Goal(in_force))]
-    viewer.tick()
+    show(at(1.0, 2.0, goal=Goal(in_force)))
     assert gizmo.goal[:2].tolist() == [0.5, -0.5], "a drag has precedence"
     viewer._panel.put(DragGoal(ended=True))
     viewer.tick()
@@ -80,37 +88,34 @@ def test_goal_is_sent_at_the_end_of_a_drag(viewer, script) -> None:
     assert isinstance(request, SetGoal) and request.goal[:2].tolist() == [0.5, -0.5]
     assert state_error(gizmo.goal, in_force) < 1e-9, "then the goal in force is shown"
     assert gizmo._label.text == "goal"
-    script.next = [at(1.0, 2.0)]
-    viewer.tick()
+    show(at(1.0, 2.0))
     assert gizmo._label.text == "goal, not in force", "it was cancelled"
     assert state_error(gizmo.goal, in_force) < 1e-9
 
 
-def test_goal_is_drawn_without_what_it_leaves_free(viewer, script) -> None:
+def test_goal_is_drawn_without_what_it_leaves_free(show, viewer) -> None:
     pose = make_state((1.0, 0.0), UPRIGHT)
 
-    def show(orientation: Orientation) -> tuple[str, bool, bool]:
-        script.next = [replace(frame, goal=Goal(pose, orientation))]
-        viewer.tick()
+    def drawn(orientation: Orientation) -> tuple[str, bool, bool]:
+        show(replace(frame, goal=Goal(pose, orientation)))
         gizmo = viewer._goal
         return gizmo._label.text, gizmo._shell.visible, gizmo._plain.visible
 
     turned = make_state((0.0, 0.0), (np.cos(0.4), 0.0, 0.0, np.sin(0.4)))
     frame = Frame(state=turned)
-    assert show(Orientation.ANY) == ("goal, position only", False, True)
+    assert drawn(Orientation.ANY) == ("goal, position only", False, True)
     assert "to the goal: <b>1.000 m</b>, position only<br>" in viewer._panel._numbers.content
-    assert show(Orientation.ANY_HEADING) == ("goal, any heading", True, False)
+    assert drawn(Orientation.ANY_HEADING) == ("goal, any heading", True, False)
     assert viewer._goal._shell.wxyz == pytest.approx(turned[2:]), "with the sphere's heading"
-    assert show(Orientation.FULL) == ("goal", True, False)
+    assert drawn(Orientation.FULL) == ("goal", True, False)
     assert viewer._goal._shell.wxyz == pytest.approx(UPRIGHT)
-    show(Orientation.ANY)
+    drawn(Orientation.ANY)
     viewer._goal._orientation.wxyz = turned[2:]
-    assert show(Orientation.ANY) == ("goal, not in force", True, False), "it is being turned"
+    assert drawn(Orientation.ANY) == ("goal, not in force", True, False), "it is being turned"
 
 
-def test_preset_is_sent_at_once_or_with_the_button(viewer, script) -> None:
-    script.next = [at(1.0, 2.0)]
-    viewer.tick()
+def test_preset_is_sent_at_once_or_with_the_button(show, viewer, script) -> None:
+    show(at(1.0, 2.0))
     name = "upside down, here"
     viewer._panel.put(ChooseGoal(name))
     viewer.tick()
@@ -138,10 +143,8 @@ def test_ray_of_a_click_meets_the_floor_or_nothing(origin, direction, place) -> 
     assert place is None if found is None else found.tolist() == pytest.approx(place)
 
 
-def test_what_is_left_of_the_way_is_shown(viewer, script) -> None:
-    progress = GoalReport("1.0", 1, 3, time_left=4.25, distance_left=2.5)
-    script.next = [at(1.0, 2.0, progress=progress)]
-    viewer.tick()
+def test_what_is_left_of_the_way_is_shown(show, viewer) -> None:
+    show(at(1.0, 2.0, progress=GoalReport("1.0", 1, 3, time_left=4.25, distance_left=2.5)))
     shown = viewer._panel._numbers.content
     assert "left: <b>4.2 s</b>, <b>2.50 m</b> of path; goal <b>2 of 3</b>" in shown
     lines = shown.count("<br>")
@@ -183,7 +186,7 @@ def test_choice_on_the_page_is_neither_overwritten_nor_lost_nor_repeated(
 
 
 def test_robots_of_other_sizes_are_shown_as_that_of_the_paper_at_another_scale(
-    viewer, script
+    show, viewer
 ) -> None:
     def lengths() -> np.ndarray:
         """Return lengths of the view, of what lies on the floor and of the goal [m]."""
@@ -194,37 +197,24 @@ def test_robots_of_other_sizes_are_shown_as_that_of_the_paper_at_another_scale(
             viewer._scene._trace._thickness, goal.scale, goal.position[2],
         ])
 
-    script.next = [at(0.0, 0.0)]
-    viewer.tick()
+    show(at(0.0, 0.0))
     before = lengths()
     for radius, grid in ((PALM.shell_radius, "every 0.05 m"), (GIANT.shell_radius, "every 1 m")):
-        script.next = [at(0.0, 0.0, radius=radius)]
-        viewer._panel_updated = 0.0
-        viewer.tick()
+        show(at(0.0, 0.0, radius=radius))
         np.testing.assert_allclose(lengths(), before * radius / DEFAULT_RADIUS)
         assert viewer._scene._ball.radius == radius
         assert grid in viewer._panel._legend.content
 
 
-def test_page_that_is_opened_shows_sphere_and_goal(viewer, script) -> None:
-    camera, goal = viewer._server.initial_camera, make_state((3.0, 4.0), UPRIGHT)
-    script.next = [at(0.0, 0.0, radius=PALM.shell_radius)]
-    viewer.tick()
-    near = np.linalg.norm(np.subtract(camera.position, camera.look_at))
-    script.next = [at(0.0, 0.0, radius=PALM.shell_radius, goal=Goal(goal))]
-    viewer.tick()
-    viewer._choose_view()
-    assert list(camera.look_at) == pytest.approx([1.5, 2.0, 0.0])
-    assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 10.0 * near
-
-
 @pytest.mark.parametrize("radius", [DEFAULT_RADIUS, PALM.shell_radius])
-def test_page_of_1400_pixels_shows_spheres_beside_no_panel(viewer, script, radius) -> None:
-    places = radius * np.random.default_rng(2).uniform(-20.0, 20.0, (30, 2))
-    script.next = [at(0.0, 0.0, radius=radius)]
-    viewer.tick()
-    viewer._scene.look_at(places)
+def test_new_page_of_1400_pixels_shows_sphere_and_goal_beside_no_panel(
+    show, viewer, radius
+) -> None:
+    places = radius * np.random.default_rng(2).uniform(-20.0, 20.0, (2, 2))
+    show(at(*places[0], radius=radius, goal=Goal(make_state(places[1], UPRIGHT))))
+    viewer._choose_view()
     camera = viewer._server.initial_camera
+    assert list(camera.look_at[:2]) == pytest.approx(places.mean(axis=0))
     ahead = np.subtract(camera.look_at, camera.position) / np.linalg.norm(
         np.subtract(camera.look_at, camera.position))
     right = np.cross(ahead, (0.0, 0.0, 1.0)) / np.linalg.norm(np.cross(ahead, (0.0, 0.0, 1.0)))
@@ -247,28 +237,27 @@ def test_history_is_limited_in_length_and_density() -> None:
     assert history.series()["time"].tolist() == [1.0]
 
 
-def test_plans_at_one_point_are_not_drawn(viewer, script) -> None:
+def test_plans_at_one_point_are_not_drawn(show, viewer) -> None:
     still = np.tile(make_state((1.0, 1.0), UPRIGHT), (5, 1))
     moving = still + np.linspace(0.0, 1.0, 5)[:, None] * np.eye(6)[0]
     for plan, there in ((still, False), (moving, True), (np.empty((0, 6)), False)):
-        script.next = [at(1.0, 1.0, plan=plan)]
-        viewer.tick()
+        show(at(1.0, 1.0, plan=plan))
         assert viewer._scene._ground._plan.visible is there
 
 
-def test_walls_are_drawn_once_and_removed_when_the_floor_goes(viewer, script) -> None:
+def test_walls_are_drawn_once_and_removed_when_the_floor_goes(show, viewer) -> None:
     occupied = np.zeros((3, 4), dtype=bool)
     occupied[1, 1:3] = True
-    grid = Grid(occupied, 0.5, (1.0, 2.0, 0.0))
+    grid, panel = Grid(occupied, 0.5, (1.0, 2.0, 0.0)), viewer._panel
 
     def shown(floor: Grid | None, **more):
-        script.next = [at(1.2, 2.2, floor=floor, **more)]
-        viewer._panel_updated = 0.0
-        viewer.tick()
-        return viewer._scene._walls._mesh
+        show(at(1.2, 2.2, floor=floor, **more))
+        return viewer._scene._walls._mesh, "grey walls" in panel._legend.content
 
-    lines = viewer._panel._numbers.content.count("<br>") if shown(None) is None else 0
-    first = shown(grid, clearance=0.125)
+    assert shown(None) == (None, False)
+    lines = panel._numbers.content.count("<br>")
+    first, told = shown(grid, clearance=0.125)
+    assert told and panel._numbers.content.count("<br>") == lines + 1
     points = first.vertices.reshape(-1, 8, 3)
     inner = [it for it in points if it[:, 0].min() > 1.0 and it[:, 0].max() < 3.0]
     # Two cells as one block, and a border of half a metre around the floor.
@@ -277,23 +266,25 @@ def test_walls_are_drawn_once_and_removed_when_the_floor_goes(viewer, script) ->
     assert inner[0].max(axis=0) == pytest.approx([2.5, 3.0, 0.4 * DEFAULT_RADIUS])
     assert points.min(axis=(0, 1)).tolist() == [0.5, 1.5, 0.0]
     assert points[..., :2].max(axis=(0, 1)).tolist() == [3.5, 4.0]
-    panel = viewer._panel
-    assert "clearance of the plan <b>0.125 m</b>" in panel._numbers.content
-    assert panel._numbers.content.count("<br>") == lines + 1
-    assert "grey walls" in panel._legend.content
-    assert shown(grid) is first, "it is not sent again"
+    assert shown(grid)[0] is first, "it is not sent again"
     assert "clearance of the plan –" in panel._numbers.content
-    assert shown(Grid(~occupied, 0.5)) is not first
-    assert shown(None) is None and "clearance" not in panel._numbers.content
-    assert "grey walls" not in panel._legend.content
+    assert shown(Grid(~occupied, 0.5))[0] is not first
+    assert shown(None) == (None, False) and "clearance" not in panel._numbers.content
 
 
-def test_faces_of_walls_look_outwards() -> None:
+def volume(mesh: Mesh) -> float:
+    """Return the volume of a mesh whose faces look outwards; those on the floor may lack."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(float) for i in range(3))
+    return float(np.sum(np.einsum("ij,ij->i", a, np.cross(b, c)))) / 6.0
+
+
+def test_meshes_are_closed_and_face_outwards() -> None:
+    shell = merged([octants(0.3, even) for even in (False, True)])
+    assert np.allclose(np.linalg.norm(shell.vertices, axis=1), 0.3, atol=1e-6)
+    assert volume(shell) == pytest.approx(4.0 / 3.0 * np.pi * 0.3**3, rel=0.02)
+    for axis in range(3):
+        disc = sector(0.5, 0.1, axis)
+        assert np.allclose(np.ptp(disc.vertices[:, axis]), 0.1)
+        assert volume(disc) == pytest.approx(np.pi * 0.25 * 0.1, rel=0.02)
     square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
-    mesh = blocks(np.array([square + 5.0, square]), 0.5)
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0)
-    normals, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
-    centres = np.where(middle[:, :1] > 4.0, (6.0, 5.5, 0.25), (1.0, 0.5, 0.25))
-    assert np.all(np.sum(normals * (middle - centres), axis=1) > 0.0)
-    # Four sides and the top of each.
-    assert np.sum(np.linalg.norm(normals, axis=1)) == pytest.approx(2.0 * 2.0 * (2.0 + 3.0))
+    assert volume(blocks(np.array([square + 5.0, square]), 0.5)) == pytest.approx(2.0)

@@ -45,20 +45,18 @@ def test_time_lost_to_a_slow_machine_is_given_up() -> None:
     assert clock.achieved(1000 * MS, wall) == pytest.approx(0.5, rel=0.05)
 
 
-def test_step_runs_to_the_next_sample_that_the_controller_tells_and_pauses() -> None:
-    clock = clock_at_zero(lockstep=True, real_time_factor=0.0, paused=True)
-    assert clock.step(0, 0.0) == SAMPLE
-    clock.command_received(0, 0.0)
-    clock.set_sample_period(400 * MS, 0.0)
+def test_lockstep_steps_to_a_sample_and_waits_for_the_command_of_its_instant() -> None:
+    stepped, clock = (
+        clock_at_zero(lockstep=True, real_time_factor=0.0, paused=True) for _ in range(2)
+    )
+    assert stepped.step(0, 0.0) == SAMPLE
+    stepped.command_received(0, 0.0)
+    stepped.set_sample_period(400 * MS, 0.0)
     now = 0
-    while clock.wait(now, 1.0) == 0.0:
-        now = clock.upcoming(now)
-        clock.advanced(now, 1.0)
-    assert now == 400 * MS and clock.paused
-
-
-def test_lockstep_waits_for_the_command_of_its_instant() -> None:
-    clock = clock_at_zero(lockstep=True, real_time_factor=0.0, paused=True)
+    while stepped.wait(now, 1.0) == 0.0:
+        now = stepped.upcoming(now)
+        stepped.advanced(now, 1.0)
+    assert now == 400 * MS and stepped.paused
     clock.command_received(0, 0.0)
     clock.resume(0, 0.0)
     assert clock.wait(0, 1.0) == pytest.approx(4.0), "for one sent after the pause"

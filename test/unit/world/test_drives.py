@@ -12,8 +12,6 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.world.drives import PLANNED_LIMITS, CommandFollower, beyond
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
-STEP = 0.01
-
 
 @pytest.fixture
 def follower() -> CommandFollower:
@@ -25,9 +23,8 @@ def hold(*knots: tuple[float, float, float]) -> FirstOrderHold:
     return FirstOrderHold(array[:, 0], array[:, 1:])
 
 
-def test_trajectory_has_priority_and_late_samples_of_it_are_ignored(
-    follower: CommandFollower,
-) -> None:
+def test_trajectory_has_priority_and_late_samples_of_it_are_ignored(follower) -> None:
+    assert follower.knots_between(0.0, 9.0) == []
     follower.follow_speeds(np.array([7.0, 7.0]), 0.0)
     follower.follow_trajectory(hold((0, 0, 0), (0.4, 40, 20)))
     for time, speeds in ((0.2, [20, 10]), (0.4, [40, 20]), (0.45, [0, 0])):
@@ -42,10 +39,7 @@ def test_trajectory_has_priority_and_late_samples_of_it_are_ignored(
     np.testing.assert_allclose(follower.commanded(1.501), [0, 0])
 
 
-def test_new_trajectory_replaces_the_previous_one_and_a_late_one_is_evaluated_now(
-    follower: CommandFollower,
-) -> None:
-    assert follower.knots_between(0.0, 9.0) == []
+def test_new_trajectory_replaces_the_previous_one(follower) -> None:
     follower.follow_trajectory(hold((0, 0, 0), (5, 50, 50)))
     follower.follow_trajectory(hold((0, 0, 0), (1, 30, 0), (2, 0, 0)))
     np.testing.assert_allclose(follower.commanded(1.5), [15, 0])
@@ -74,41 +68,36 @@ def test_drives_keep_all_limits_and_approach_the_command_as_fast_as_they_allow(
     assert np.all(np.abs(target - after) <= np.abs(target - now) + 1e-12)
 
 
-LARGE = RobotParameters(
-    shell_radius=1.0, rotor_axial_inertia=0.9, max_rotor_speed=60.0, max_rotor_acceleration=50.0
-)
+def of_drives(torque_limit: float, **robot: float) -> str:
+    settings = RigidBodySettings(torque_limit=torque_limit)
+    return settings.contradiction(RobotParameters(**robot)) or ""
+
+
+def of_controller(torque_limit: float, **robot: float) -> str:
+    planned = {name: getattr(RobotParameters(**robot), name) for name in PLANNED_LIMITS}
+    return beyond(RobotParameters(), planned, "/controller", torque_limit)
+
+
+LARGE = {"shell_radius": 1.0, "rotor_axial_inertia": 0.9, "max_rotor_speed": 60.0,
+         "max_rotor_acceleration": 50.0}
 
 
 @pytest.mark.parametrize(
-    ("robot", "torque_limit", "figures"),
+    ("told", "torque_limit", "robot", "figures"),
     [
-        (LARGE, 3.2, ("3.2 N m", "45 N m", "50 rad/s^2")),
-        (RobotParameters(), 3.2, None),
-        (RobotParameters(max_rotor_torque=1.6), 1.6, None),
+        (of_drives, 3.2, LARGE, ("3.2 N m", "45 N m", "50 rad/s^2")),
+        (of_drives, 3.2, {}, ()),
+        (of_drives, 1.6, {"max_rotor_torque": 1.6}, ()),
+        (of_controller, 3.2, {"max_rotor_speed": 120.0},
+         ("/controller", "120 rad/s", "100 rad/s", "as in this node")),
+        (of_controller, 1.6, {}, ("/controller", "400 rad/s^2", "200 rad/s^2", "1.6 N m")),
+        (of_controller, 3.2, {}, ()),
+        (of_controller, 3.2, {"max_rotor_acceleration": 1000.0, "max_rotor_torque": 3.0}, ()),
     ],
 )
-def test_drives_that_are_too_weak_for_the_robot_are_named(robot, torque_limit, figures) -> None:
-    line = RigidBodySettings(torque_limit=torque_limit).contradiction(robot)
-    if figures is None:
-        assert line is None
-    else:
-        assert "\n" not in line and all(figure in line for figure in figures)
-
-
-@pytest.mark.parametrize(
-    ("changes", "torque_limit", "figures"),
-    [
-        ({"max_rotor_speed": 120.0}, 3.2, ("120 rad/s", "100 rad/s", "as in this node")),
-        ({}, 1.6, ("400 rad/s^2", "200 rad/s^2", "1.6 N m")),
-        ({}, 3.2, None),
-        ({"max_rotor_acceleration": 1000.0, "max_rotor_torque": 3.0}, 3.2, None),
-    ],
-)
-def test_limits_beyond_those_of_the_robot_are_named(changes, torque_limit, figures) -> None:
-    planned = {name: getattr(RobotParameters(**changes), name) for name in PLANNED_LIMITS}
-    line = beyond(RobotParameters(), planned, "/controller", torque_limit)
-    if figures is None:
-        assert line == ""
-    else:
-        assert "/controller" in line and "\n" not in line and ";" not in line
-        assert all(figure in line for figure in figures)
+def test_limits_that_contradict_each_other_are_told_in_one_line(
+    told, torque_limit, robot, figures
+) -> None:
+    line = told(torque_limit, **robot)
+    assert bool(line) is bool(figures) and "\n" not in line
+    assert all(figure in line for figure in figures)

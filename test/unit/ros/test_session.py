@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of the goal command, and the messages that they become."""
+"""The goal command: its arguments, its display, and how long a run is waited for."""
 
 import math
 
@@ -9,12 +9,16 @@ import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Goals
 
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.ros.session.goal_arguments import parse
+from sphere_sim.ros.session.goal_run import StalledError, wait_until_settled
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 HALF_TURN = [0.0, 0.0, 0.0, 1.0]
+GOAL = np.array([1.0, 0.0, *UPRIGHT])
 
 
 @pytest.mark.parametrize(
@@ -76,3 +80,78 @@ def test_wrong_arguments_exit_with_2(arguments, message, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse(arguments)
     assert message in capsys.readouterr().err
+
+
+def test_share_grows_over_all_goals_and_falls_with_a_longer_way() -> None:
+    pytest.importorskip("rich")
+    from sphere_sim.ros.session.goal_display import Way
+
+    way, shares = Way(), []
+    for index, left in ((0, math.nan), (0, 4.0), (0, 1.0), (1, math.nan), (1, 2.0), (1, 3.0),
+                        (1, 0.0)):
+        way.add(GoalReport("1.0", index, 2, distance_left=left))
+        shares.append(way.share)
+    assert shares == [0.0, 0.0, 0.375, 0.5, 0.5, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_display_is_a_bar_on_a_terminal_and_else_a_line(terminal, monkeypatch, capsys) -> None:
+    pytest.importorskip("rich")
+    from sphere_sim.ros.session.goal_display import GoalDisplay
+
+    if terminal:
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        monkeypatch.setenv("TERM", "xterm-256color")
+    report = GoalReport("1.0", 1, 3, "on the way to the goal [bold]", time_left=4.25)
+    with GoalDisplay() as display:
+        display.update(GoalReport())  # nothing is known: nothing is shown
+        display.update(report)
+        display.update(report)  # not due yet
+    printed = capsys.readouterr()
+    text = "goal 2 of 3:      – m,   4.2 s left"
+    assert printed.out == ""
+    if terminal:
+        assert text in printed.err and "\x1b[" in printed.err and "\u2501" in printed.err
+    else:
+        assert printed.err == f"{text}, on the way to the goal [bold]\n"
+
+
+def at(distance: float) -> np.ndarray:
+    """Return a state at a distance from the goal [m]."""
+    return GOAL + np.array([distance, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def poses(run: GoalRun, *errors: float):
+    """Return a function that gives the run its next pose, 1 s after the last one."""
+    left = iter(enumerate(errors))
+
+    def spin() -> None:
+        time, error = next(left)
+        run.observe(float(time), at(error))
+
+    return spin
+
+
+@pytest.mark.parametrize(
+    ("errors", "options", "settled", "end"),
+    [
+        # Inside at 1 s, outside again at 2 s, for good from 3 s on.
+        ((1.0, 0.05, 0.2, 0.05, 0.02, 0.01, 0.0), {}, 3.0, 5.0),
+        ((1.0, *[0.0] * 20), {"linger": 4.0}, 1.0, 7.0),
+        ((1.0, *[0.0] * 20), {"linger": 40.0}, 1.0, 10.0),
+        ((1.0,) * 8 + (0.0,) * 3, {}, 8.0, 10.0),
+    ],
+)
+def test_run_settles_when_the_error_has_stayed_below_the_tolerance(
+    errors, options, settled, end
+) -> None:
+    run = GoalRun(GOAL, tolerance=0.1, hold=2.0)
+    assert wait_until_settled(run, poses(run, *errors), deadline=10.0, **options) == settled
+    assert run.time == end
+
+
+def test_time_that_stands_still_is_an_error() -> None:
+    run = GoalRun(GOAL)
+    run.observe(2.5, at(1.0))
+    with pytest.raises(StalledError, match=r"stands still at 2\.50 s"):
+        wait_until_settled(run, lambda: None, deadline=10.0, stall_timeout=0.0)

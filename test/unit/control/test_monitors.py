@@ -32,39 +32,37 @@ TOLERANCE, DWELL = 0.01, 0.25
 TICK = NANOSECONDS // 100
 
 
+LEFT = [(1.0, math.nan), (1.5, 1.0), (4.14, 0.005), (4.5, 0.001), (5.0, 0.5), (6.0, 0.1),
+        (7.5, 0.001), (8.0, 0.001)]
+
+
 @pytest.mark.parametrize(
-    ("samples", "expected"),
+    ("samples", "reached", "took"),
     [
-        ([(0.0, 0.009), (0.24, 0.009), (0.25, 0.009)], [False, False, True]),
-        ([(0.0, 0.009), (0.1, 0.011), (0.3, 0.009)], [False, False, False]),
-        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.019), (0.5, 0.021)], [False, True, True, False]),
-        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.021), (0.5, 0.015)], [False, True, False, False]),
-        ([(0.0, math.nan), (0.3, math.nan)], [False, False]),
-        ([(5.0, 0.0), (0.0, 0.0), (0.1, 0.0), (0.3, 0.0)], [False, False, False, True]),
+        ([(0.0, 0.009), (0.24, 0.009), (0.25, 0.009)], [2], 0.0),
+        ([(0.0, 0.009), (0.1, 0.011), (0.3, 0.009)], [], None),
+        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.019), (0.5, 0.021)], [1, 2], None),
+        ([(0.0, 0.0), (0.3, 0.0), (0.4, 0.021), (0.5, 0.015)], [1], None),
+        ([(0.0, math.nan), (0.3, math.nan)], [], None),
+        ([(5.0, 0.0), (0.0, 0.0), (0.1, 0.0), (0.3, 0.0)], [3], 0.0),
+        (LEFT[:4], [3], 3.14),
+        (LEFT, [3, 7], 2.5),
+        # The pose is lost at the goal, and on the way back.
+        ([*LEFT, None, (9.0, 0.02), None, (10.0, 0.02), (10.5, 0.001), (11.0, 0.001)],
+         [3, 7, 13], 1.5),
     ],
-    ids=["stays", "passes", "noise at the limit", "pushed away", "unknown", "clock set back"],
+    ids=["stays", "passes", "noise at the limit", "pushed away", "unknown", "clock set back",
+         "from the first sample", "from when it was left", "lost"],
 )
-def test_goal_is_reached_when_the_error_stays_within_the_tolerance(samples, expected) -> None:
-    arrival = ArrivalDetector()
-    assert [arrival.update(time, error / TOLERANCE, DWELL) for time, error in samples] == expected
-
-
-def test_time_taken_counts_from_the_first_sample_or_from_when_the_goal_was_left() -> None:
-    arrival = ArrivalDetector()
-    taken = []
-    for time, error in (
-        (1.0, math.nan), (1.5, 1.0), (4.14, 0.005), (4.5, 0.001),  # reached after 3.14 s
-        (5.0, 0.5), (6.0, 0.1), (7.5, 0.001), (8.0, 0.001),  # pushed away at 5 s
-    ):
-        if arrival.update(time, error / TOLERANCE, DWELL) and arrival.took not in taken:
-            taken.append(arrival.took)
-    assert taken == pytest.approx([3.14, 2.5])
-    arrival.reset()  # the pose was lost at the goal
-    arrival.update(9.0, 0.02 / TOLERANCE, DWELL)
-    arrival.reset()  # and on the way back
-    for time, error in ((10.0, 0.02), (10.5, 0.001), (11.0, 0.001)):
-        arrival.update(time, error / TOLERANCE, DWELL)
-    assert arrival.reached and arrival.took == pytest.approx(1.5)
+def test_goal_is_reached_when_the_error_stays_within_the_tolerance(samples, reached, took) -> None:
+    arrival, found = ArrivalDetector(), []
+    for k, sample in enumerate(samples):
+        if sample is None:
+            arrival.reset()
+        elif arrival.update(sample[0], sample[1] / TOLERANCE, DWELL):
+            found.append(k)
+    assert found == reached
+    assert took is None or arrival.took == pytest.approx(took)
 
 
 class Blocked(Simulator):

@@ -22,36 +22,32 @@ GOAL = np.array([1.0, 0.0, *UPRIGHT])
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("arguments", "kind", "goals", "told"),
     [
-        (["1", "-2.5"], [1, -2.5, 1, 0, 0, 0]),
-        (["0", "0", "--yaw", str(math.pi)], [0, 0, 0, 0, 0, 1]),
-        (["0", "0", "--yaw", "-90", "--degrees"], [0, 0, 0.5**0.5, 0, 0, -(0.5**0.5)]),
-        (["-1", "2", "--quaternion", "0.5", "-0.5", "0.5", "0.5"], [-1, 2, 0.5, -0.5, 0.5, 0.5]),
-        (["--case", "2"], PAPER_CASES[2].goal),
+        (["1", "-2.5"], PoseStamped, [[1, -2.5, *UPRIGHT]], "goal x 1 y -2.5 m, quaternion"),
+        (["0", "0", "--yaw", str(math.pi)], PoseStamped, [[0, 0, *HALF_TURN]], "goal"),
+        (["0", "0", "--yaw", "-90", "--degrees"], PoseStamped,
+         [[0, 0, 0.5**0.5, 0, 0, -(0.5**0.5)]], "goal"),
+        (["-1", "2", "--quaternion", "0.5", "-0.5", "0.5", "0.5"], PoseStamped,
+         [[-1, 2, 0.5, -0.5, 0.5, 0.5]], "goal"),
+        (["--case", "2"], PoseStamped, [PAPER_CASES[2].goal], "goal"),
+        (["1", "-2.5", "--point"], PointStamped, [[1, -2.5, *UPRIGHT]],
+         "goal x 1 y -2.5 m, any orientation"),
+        (["1", "0", "--then", "-1", "-2.5", "180", "--then", "0", "3", "--degrees"], Goals,
+         [[1, 0, *UPRIGHT], [-1, -2.5, *HALF_TURN], [0, 3, *UPRIGHT]],
+         "3 goals, the last one x 0 y 3 m, quaternion"),
     ],
 )
-def test_arguments_name_a_goal(arguments, expected) -> None:
+def test_arguments_name_goals_which_are_sent_in_order(arguments, kind, goals, told) -> None:
     request = parse(arguments)
-    assert len(request.goals) == 1 and isinstance(request.message, PoseStamped)
-    np.testing.assert_allclose(request.goals[0], expected, atol=1e-5)
-    np.testing.assert_allclose(pose_from_ros(request.message), expected, atol=1e-5)
-
-
-def test_point_is_a_position_alone() -> None:
-    request = parse(["1", "-2.5", "--point"])
-    assert isinstance(request.message, PointStamped)
-    assert (request.message.point.x, request.message.point.y) == (1.0, -2.5)
-    assert str(request) == "goal x 1 y -2.5 m, any orientation"
-
-
-def test_several_goals_are_sent_in_order() -> None:
-    request = parse(["1", "0", "--then", "-1", "-2.5", "180", "--then", "0", "3", "--degrees"])
-    assert isinstance(request.message, Goals)
-    sent = [pose_from_ros(goal) for goal in request.message.goals]
-    expected = [[1, 0, *UPRIGHT], [-1, -2.5, *HALF_TURN], [0, 3, *UPRIGHT]]
-    np.testing.assert_allclose(sent, expected, atol=1e-12)
-    assert str(request).startswith("3 goals, the last one x 0 y 3 m, quaternion")
+    message = request.message
+    assert isinstance(message, kind) and str(request).startswith(told)
+    np.testing.assert_allclose(request.goals, goals, atol=1e-5)
+    if kind is PointStamped:
+        assert [message.point.x, message.point.y] == goals[0][:2]
+    else:
+        sent = [pose_from_ros(pose) for pose in (message.goals if kind is Goals else [message])]
+        np.testing.assert_allclose(sent, goals, atol=1e-5)
 
 
 @pytest.mark.parametrize(

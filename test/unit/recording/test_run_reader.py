@@ -217,42 +217,36 @@ def given_in_turn(
     return in_order(*goals, *told, *poses)
 
 
-def test_errors_are_those_to_what_the_goals_demand(read) -> None:
-    kinds = ("any", "any_heading", "full")
-    run = read(given_in_turn(*kinds))
-    metrics = run.to_goal(1).metrics()
-    assert metrics.settled and metrics.settle_time_s == metrics.final_error == 0.0
-    assert np.isnan(metrics.final_orientation_error_rad), "nothing is demanded of it"
-    for number in (2, 3):
-        metrics = run.to_goal(number).metrics()
-        assert not metrics.settled and metrics.final_position_error_m == 0.0
-        assert metrics.final_orientation_error_rad == pytest.approx(0.6)
-    assert [run.goal_at(time).orientation.value for time in (0.5, 1.5, 2.5)] == [*kinds]
-    assert np.all(run.errors[:100, :2] == 0.0) and np.isnan(run.errors[:100, 2]).all()
+NOT_ASKED, TILTED = (Orientation.ANY, True, np.nan), (Orientation.FULL, False, 0.6)
 
 
 @pytest.mark.parametrize(
-    ("kind", "turn", "orientation", "error"),
+    ("kinds", "options", "judged"),
     [
-        ("any_heading", [np.cos(0.3), 0.0, 0.0, np.sin(0.3)], Orientation.ANY_HEADING, 0.0),
-        *((kind, TILT, Orientation.FULL, 0.6) for kind in ("", "full", "upside down")),
+        (("any", "any_heading", "full"), {},
+         [NOT_ASKED, (Orientation.ANY_HEADING, False, 0.6), TILTED]),
+        (("any_heading",), {"turn": [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]},
+         [(Orientation.ANY_HEADING, True, 0.0)]),
+        (("",), {}, [TILTED]),
+        (("upside down",), {}, [TILTED]),
+        # A pose that is given again for its position alone is another goal.
+        (("full", "any", "any"), {"same_pose": True}, [TILTED, NOT_ASKED]),
     ],
+    ids=["each kind", "heading alone", "none told", "unknown", "same pose"],
 )
-def test_goal_is_a_whole_pose_where_no_status_says_otherwise(
-    read, kind, turn, orientation, error
-) -> None:
-    run = read(given_in_turn(kind, turn=turn))
-    assert run.goals[0].orientation is orientation
-    metrics = run.metrics()
-    assert metrics.final_orientation_error_rad == pytest.approx(error, abs=1e-9)
-    assert metrics.settled is (error == 0.0)
-
-
-def test_same_pose_that_is_given_again_for_its_position_is_another_goal(read) -> None:
-    run = read(given_in_turn("full", "any", "any", same_pose=True))
-    assert [goal.orientation for goal in run.goals] == [Orientation.FULL, Orientation.ANY]
-    assert run.goal_times == pytest.approx([0.0, 1.0], abs=1e-9)
-    assert not run.to_goal(1).metrics().settled and run.to_goal(2).metrics().settled
+def test_errors_are_those_to_what_the_goals_demand(read, kinds, options, judged) -> None:
+    run = read(given_in_turn(*kinds, **options))
+    assert run.goal_times == pytest.approx(np.arange(len(judged)), abs=1e-9)
+    for number, (orientation, settled, error) in enumerate(judged, start=1):
+        metrics = run.to_goal(number).metrics()
+        assert run.goals[number - 1] is run.goal_at(number - 0.5)
+        assert (run.goals[number - 1].orientation, metrics.settled) == (orientation, settled)
+        assert metrics.final_position_error_m == 0.0
+        assert metrics.final_orientation_error_rad == pytest.approx(error, abs=1e-9, nan_ok=True)
+        if orientation is Orientation.ANY:
+            assert metrics.settle_time_s == metrics.final_error == 0.0
+            first = run.errors[100 * (number - 1) : 100 * number]
+            assert np.all(first[:, :2] == 0.0) and np.isnan(first[:, 2]).all()
 
 
 def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:

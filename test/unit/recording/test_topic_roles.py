@@ -19,7 +19,6 @@ from recorded_bags import (
     run_messages,
     status,
     write_own,
-    write_rosbag2,
 )
 
 from sphere_sim.recording.bag_files import BagError
@@ -77,13 +76,6 @@ def test_remapped_topics_of_a_run_are_found(read, whole, names) -> None:
                                for name, topic in names.items()]
 
 
-def test_names_without_a_leading_slash_are_the_same(tmp_path, whole) -> None:
-    entries = [(entry[0].lstrip("/"), *entry[1:]) for entry in run_messages()]
-    run = read_run(write_rosbag2(tmp_path / "bag", entries))
-    assert run.metrics() == whole.metrics() and run.notes == () and len(run.plans) == 7
-    assert len(read_run(tmp_path / "bag", "/", pose_topic="pose").times) == 301
-
-
 @pytest.mark.parametrize(
     "others",
     [stream("/vrpn_mocap/table/pose", STANDING), stream("/target", MOVING),
@@ -129,6 +121,11 @@ KIND = "diagnostic_msgs/msg/DiagnosticStatus"
             renamed(rolling_messages(), pose="/optitrack/ball"), [(None, "/optitrack/ball", 201)],
             [(None, None, "no topic 'pose'.*--pose-topic takes one of /optitrack")],
         ),
+        # Without a leading slash names are the same.
+        (
+            [(entry[0].lstrip("/"), *entry[1:]) for entry in run_messages()],
+            [(None, None, 301), ("/", "pose", 301)], [],
+        ),
         (
             in_order(*LEFT, *run_messages("/right")),
             [("right", None, 301), (None, "/right/pose", 301)],
@@ -146,7 +143,8 @@ KIND = "diagnostic_msgs/msg/DiagnosticStatus"
             [(None, None, 301)], [],
         ),
     ],
-    ids=["two that roll", "poses alone", "two robots", "another type", "another type as well"],
+    ids=["two that roll", "poses alone", "names", "two robots", "another type",
+         "another type as well"],
 )
 def test_poses_that_the_bag_leaves_open_are_to_be_chosen(
     tmp_path, entries, choices, refused

@@ -13,22 +13,16 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
 
 class Standing:
-    """`Strategy` that plans the same speed of both rotors [rad/s] from 2.5 s on at each sample.
+    """`Strategy` that plans rest from 2.5 s on at each sample, with a status and other values."""
 
-    Its plans have the given status and further values.
-    """
-
-    def __init__(
-        self, speed: float = 0.0, status: PlanStatus = PlanStatus.SOLVED, **values: Any
-    ) -> None:
-        self._speeds = np.full((2, 2), speed)
+    def __init__(self, status: PlanStatus = PlanStatus.SOLVED, **values: Any) -> None:
         self._status = status
         self._values = values
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan from the speeds in force on."""
         times = situation.time + np.array([0.0, 2.5, 5.0])
-        hold = FirstOrderHold(times, np.vstack((situation.input_in_force, self._speeds)))
+        hold = FirstOrderHold(times, np.vstack((situation.input_in_force, np.zeros((2, 2)))))
         states = np.tile(situation.state, (times.size, 1))
         return Plan(self._status, hold, states, **self._values)
 

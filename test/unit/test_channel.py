@@ -11,11 +11,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, SharedMemory, encoded
+
+ERRORS = {
+    "missing": FileNotFoundError("gone"), "end": EOFError("short"),
+    "waits": BlockingIOError("waits"), "broken": BrokenPipeError("broken"),
+    "memory": MemoryError("full"), "name": ModuleNotFoundError("absent"),
+}
 
 
 class Raising:
@@ -29,9 +34,7 @@ class Raising:
 
 
 def _raise(name: str) -> None:
-    raise {"missing": FileNotFoundError("gone"), "end": EOFError("short"),
-           "waits": BlockingIOError("waits"), "broken": BrokenPipeError("broken"),
-           "memory": MemoryError("full"), "name": ModuleNotFoundError("absent")}[name]
+    raise ERRORS[name]
 
 
 @pytest.fixture
@@ -42,10 +45,8 @@ def ends() -> Iterator[tuple[Channel, Channel]]:
     there.close()
 
 
-@pytest.mark.parametrize("name", ["missing", "end", "waits", "broken", "memory", "name"])
-def test_an_object_that_cannot_be_read_is_no_end(
-    name: str, ends: tuple[Channel, Channel]
-) -> None:
+@pytest.mark.parametrize("name", ERRORS)
+def test_an_object_that_cannot_be_read_is_no_end(name, ends) -> None:
     here, there = ends
     here.send(encoded([Raising(name), SharedMemory.of(memoryview(b"lost"))]))
     here.send(encoded({"next": 1}))
@@ -54,7 +55,7 @@ def test_an_object_that_cannot_be_read_is_no_end(
     assert there.receive() == {"next": 1}
 
 
-def test_the_end_is_told_on_both_sides(ends: tuple[Channel, Channel]) -> None:
+def test_the_end_is_told_on_both_sides(ends) -> None:
     here, there = ends
     here.send(encoded("last"))
     here.close()
@@ -67,7 +68,7 @@ def test_the_end_is_told_on_both_sides(ends: tuple[Channel, Channel]) -> None:
         here.receive()
 
 
-def test_memory_outlives_its_sender_and_is_the_same_again(ends: tuple[Channel, Channel]) -> None:
+def test_memory_outlives_its_sender_and_is_the_same_again(ends) -> None:
     here, there = ends
     there.never_wait()
     memory = SharedMemory.of(memoryview(b"first "), memoryview(b"second"))
@@ -89,9 +90,7 @@ def test_memory_outlives_its_sender_and_is_the_same_again(ends: tuple[Channel, C
         there.receive()
 
 
-def test_memory_and_its_descriptors_are_freed_without_garbage_collection(
-    ends: tuple[Channel, Channel]
-) -> None:
+def test_memory_and_its_descriptors_are_freed_without_garbage_collection(ends) -> None:
     here, there = ends
     gc.disable()
     try:
@@ -104,7 +103,7 @@ def test_memory_and_its_descriptors_are_freed_without_garbage_collection(
         gc.enable()
 
 
-def test_where_no_descriptor_is_free_the_channel_ends(ends: tuple[Channel, Channel]) -> None:
+def test_where_no_descriptor_is_free_the_channel_ends(ends) -> None:
     here, there = ends
     here.send(encoded(SharedMemory.of(memoryview(b"too much"))))
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -116,47 +115,38 @@ def test_where_no_descriptor_is_free_the_channel_ends(ends: tuple[Channel, Chann
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_memory_cannot_be_pickled_without_a_channel() -> None:
+KILLED = """
+memory = SharedMemory.of(memoryview(b'12'), memoryview(b'3'))
+assert memory.mapped()[:] == b'123'
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+TOO_SMALL = """
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+try: SharedMemory.of(memoryview(bytes(10_000)))
+except OSError as error: print(error.strerror)
+"""
+
+
+@pytest.mark.parametrize("system", ["", "del os.memfd_create"], ids=["memfd_create", "without"])
+@pytest.mark.parametrize(
+    ("program", "code", "told"), [(KILLED, -9, ""), (TOO_SMALL, 0, "File too large\n")],
+    ids=["killed", "too small"],
+)
+def test_nothing_is_left_of_memory_whose_process_is_killed_or_cannot_have_it(
+    system, program, code, told, tmp_path
+) -> None:
+    imports = "import os, resource, signal\nfrom sphere_nmpc.channel import SharedMemory\n"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{imports}{system}\n{program}"], check=False,
+        env=dict(os.environ, TMPDIR=str(tmp_path)), capture_output=True, text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (code, told, "")
+    assert not list(tmp_path.iterdir())
+
+
+def test_memory_that_cannot_be_had_or_is_pickled_without_a_channel_is_told(monkeypatch) -> None:
     with pytest.raises(TypeError, match="through a channel"):
         pickle.dumps(SharedMemory.of(memoryview(b"alone")))
-
-
-@pytest.mark.parametrize("system", ["with memfd_create", "without"])
-def test_nothing_is_left_of_memory_whose_process_is_killed(system: str, tmp_path: Path) -> None:
-    program = (
-        "import os, signal\n"
-        f"if {system == 'without'}: del os.memfd_create\n"
-        "from sphere_nmpc.channel import SharedMemory\n"
-        "memory = SharedMemory.of(memoryview(b'12'), memoryview(b'3'))\n"
-        "assert memory.mapped()[:] == b'123'\n"
-        "os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    environment = dict(os.environ, TMPDIR=str(tmp_path))
-    done = subprocess.run([sys.executable, "-c", program], env=environment, check=False)
-    assert done.returncode == -9
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("system", ["with memfd_create", "without"])
-def test_memory_that_is_too_small_is_told_once(system: str, tmp_path: Path) -> None:
-    program = (
-        "import os, resource\n"
-        f"if {system == 'without'}: del os.memfd_create\n"
-        "from sphere_nmpc.channel import SharedMemory\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
-        "try: SharedMemory.of(memoryview(bytes(10_000)))\n"
-        "except OSError as error: print(error.strerror)\n"
-    )
-    environment = dict(os.environ, TMPDIR=str(tmp_path))
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "File too large\n", "")
-    assert not list(tmp_path.iterdir())
-
-
-def test_memory_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "memfd_create")
     monkeypatch.setattr(tempfile, "tempdir", "/nonexistent")
     with pytest.raises(OSError, match="nonexistent"):

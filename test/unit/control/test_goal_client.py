@@ -2,72 +2,108 @@
 # SPDX-License-Identifier: Apache-2.0
 """The client of goals against a controller that is written out here, and against random events."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from itertools import repeat
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sphere_nmpc.conditions import Kind
-from sphere_nmpc.control.goal_client import Due, GoalClient, Missed, NavigatorSettings, Outcome
+from sphere_nmpc.control.goal_client import GoalClient, NavigatorSettings, Outcome
 from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.quantity import stamp_text
 
 SETTINGS = NavigatorSettings(controller_timeout=5.0, no_progress_timeout=20.0)
 STEP = 0.1  # s
 FOREIGN = "7.000000000"
-A, B, C = b"A", b"B", b"C"
+GIVEN_UP = "no progress towards the goal: it is occupied"
+NEWER, OTHER = "a newer goal has taken over", "another goal has taken over"
 
 
-@dataclass
 class World:
-    """A client and the controller that it talks to; messages arrive at the next step."""
+    """A client and the controller that it talks to; messages arrive at the next step.
 
-    client: GoalClient = field(init=False)
-    now: float = 100.0
-    in_force: str = ""
-    mode: Kind = Kind.NO_GOAL
-    moves: float = 0.0
-    """Time that the sphere still needs, to the goal or to rest [s]."""
-    unreachable: set[str] = field(default_factory=set)
-    """Stamps of goals that the controller does not pursue."""
-    is_final: bool = True
-    """Whether no area that may move is the cause of that."""
-    plans: int = 0
-    lives: bool = True
-    takes_goals: bool = True
-    can_send: bool = True
-    sent: list[str] = field(default_factory=list)
-    cancels: int = 0
-    ended: dict[bytes, tuple[Outcome, str]] = field(default_factory=dict)
-    missed: dict[bytes, tuple[Missed, ...]] = field(default_factory=dict)
-    stamps: list[str] = field(default_factory=list)
-    """Those of all stages that were begun."""
-    _under_way: str | None = None
-    _cancel_under_way: bool = False
-    _stamps: dict[bytes, str] = field(default_factory=dict)
+    Events are words, with the goal that they concern. Each stage of a goal has a stamp of its own,
+    1 s, 2 s and so on in the order in which they are begun.
+    """
 
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
         self.client = GoalClient(SETTINGS, self._stamp)
+        self.now = 0.0
+        self.in_force = ""
+        self.mode = Kind.NO_GOAL
+        self.moves = 0.0  # time that the sphere still needs, to the goal or to rest [s]
+        self.unreachable: set[str] = set()  # stamps of goals that the controller does not pursue
+        self.is_final = True  # whether no area that may move is the cause of that
+        self.plans = self.stamps = self.cancels = self.sent = 0
+        self.lives = self.takes_goals = self.can_send = True
+        self.ended: dict[str, tuple[float, Outcome, str]] = {}
+        self.missed: dict[str, list[tuple[int, str]]] = {}
+        self.stamp_of: dict[str, str] = {}
+        self._clock = 0.0
+        self._under_way: str | None = None
+        self._held_up: str | None = None
+        self._cancel_under_way = False
+        self.step(1.0)
+        self.now = 0.0
 
     def _stamp(self) -> int:
-        self.stamps.append(f"{len(self.stamps) + 1}.000000000")
-        return len(self.stamps) * 1_000_000_000
+        self.stamps += 1
+        return self.stamps * 1_000_000_000
 
-    def begin(self, goal: bytes, stages: int = 1, pause: float = 0.0, **options: bool) -> None:
-        def messages() -> Iterator[bytes]:
-            for _ in range(stages):
-                yield goal
+    def play(self, *events: str | float) -> None:
+        """Let events happen, and time [s] pass between them."""
+        for event in events:
+            if isinstance(event, str):
+                self.happen(*event.split())
+            else:
+                self.step(event)
 
-        self.client.begin(goal, messages(), pause, **options)
+    def happen(self, event: str, what: str = "") -> None:
+        match event:
+            case "begin" | "leave":
+                self.client.begin(what, iter([what]), until_taken=event == "leave")
+            case "stages":
+                self.client.begin(what, repeat(what, 3), pause=1.0)
+            case "cancel":
+                assert self.client.cancel(what) is (what not in self.ended)
+            case "abandon":
+                self.client.abandon("the navigator has ended")
+            case "foreign":
+                self.take(FOREIGN)
+            case "drop":
+                self.drop()
+            case "mode":
+                self.mode = Kind[what]
+            case "kill":
+                self.lives = False
+            case "restart" | "restore":
+                self.lives, self.plans = True, 0
+                if event == "restore":
+                    self.take(self.stamp_of[what] if what else self.in_force)
+                else:
+                    self.in_force, self.mode, self.moves = "", Kind.NO_GOAL, 0.0
+            case "lose":
+                self._under_way, self._cancel_under_way = None, False
+            case "hold_up":
+                self._held_up, self._under_way = self._under_way, None
+            case "arrive":
+                self._under_way = self._held_up
+            case "refuse":
+                self.takes_goals = False
+            case "occupied" | "blocked":
+                self.unreachable |= {f"{stage}.000000000" for stage in what.split("+")}
+                self.is_final = event == "occupied"
+            case "freed":
+                self.unreachable.clear()
+                self.take(self.in_force)
+            case "no_controller" | "controller":
+                self.can_send = event == "controller"
+            case "stopped":  # this process
+                self._clock += 100.0
+            case _:
+                raise ValueError(event)
         self._update()
-
-    def stamp(self, goal: bytes) -> str:
-        return self._stamps[goal]
-
-    def outcome(self, goal: bytes) -> Outcome:
-        return self.ended[goal][0]
 
     def take(self, stamp: str) -> None:
         """Put a goal in force at the controller."""
@@ -80,458 +116,214 @@ class World:
         if self.in_force:
             self.in_force, self.mode, self.moves = "", Kind.NO_GOAL, 0.3
 
-    def restart(self, kept: bool) -> None:
-        self.lives, self.plans = True, 0
-        if kept:
-            self.take(self.in_force)
-        else:
-            self.in_force, self.mode, self.moves = "", Kind.NO_GOAL, 0.0
-
     def step(self, duration: float = STEP) -> None:
         for _ in range(round(duration / STEP)):
             self.now += STEP
+            self._clock += STEP
             if self.lives:
                 self._control()
             self._update()
 
     def _control(self) -> None:
-        if self._under_way is not None and self.takes_goals:
-            self.take(self._under_way)
+        arrived, self._under_way = self._under_way, None
+        if arrived is not None and self.takes_goals:
+            self.take(arrived)
         if self._cancel_under_way:
             self.drop()
+            self._cancel_under_way = False
             self.client.cancel_answered()
             self._update()
-        self._under_way, self._cancel_under_way = None, False
         if self.mode in (Kind.TRACKING, Kind.NO_GOAL, Kind.AT_GOAL):
             self.moves = max(0.0, self.moves - STEP)
         if self.mode is Kind.TRACKING and self.moves == 0.0:
             self.mode = Kind.AT_GOAL
-        at_rest = self.moves == 0.0
         stands = self.mode is Kind.NO_PROGRESS
         self.client.receive(GoalReport(
-            self.in_force, 0, 1, self.mode.value, at_rest, self.plans,
+            self.in_force, 0, 1, self.mode.value, self.moves == 0.0, self.plans,
             unreachable="goal occupied" if stands and self.is_final else "",
             obstacle="it is occupied" if stands else "", time_left=self.moves,
-        ), self.now)
+        ), self._clock)
         self._update()
 
     def _update(self) -> None:
-        due = self.client.update(self.now, self.can_send)
+        due = self.client.update(self._clock, self.can_send)
         for ending in due.ended:
             assert ending.goal not in self.ended, "a second end"
-            self.ended[ending.goal] = ending.outcome, ending.reason
-            self.missed[ending.goal] = ending.missed
+            self.ended[ending.goal] = self.now, ending.outcome, ending.reason
+            self.missed[ending.goal] = [(one.stage, one.cause) for one in ending.missed]
         if due.cancel:
             self.cancels += 1
             self._cancel_under_way = True
         if due.send:
-            stamp = stamp_text(self.client.stamp)
-            self._stamps[self.client.message] = stamp
-            self.sent.append(stamp)
-            self._under_way = stamp
-
-
-@pytest.fixture
-def world() -> World:
-    world = World()
-    world.step(1.0)
-    return world
-
-
-def test_goal_succeeds_at_the_goal(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    assert world.client.goal == A
-    assert world.client.report.time_left == pytest.approx(1.0)
-    world.step(1.5)
-    assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
-    world.step(20.0)
-    assert world.in_force == world.stamp(A), "it stays there"
-    assert world.cancels == 0 and len(world.sent) == 1
-
-
-def test_cancelled_goal_ends_at_rest_and_once_however_often_it_is_cancelled(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    assert world.client.cancel(A)
-    assert world.client.cancel(A)
-    world.step(0.2)
-    assert world.in_force == "" and not world.ended, "it is dropped but still moves"
-    world.step(0.5)
-    assert world.ended == {A: (Outcome.CANCELED, "at rest")}
-    assert not world.client.cancel(A)
-    assert world.cancels == 1
-
-
-@pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
-def test_goal_that_is_cancelled_at_once_does_not_come_into_force_later(world, after) -> None:
-    world.begin(A)
-    world.step(after)
-    assert world.client.cancel(A)
-    world.step(3.0)
-    assert world.outcome(A) is Outcome.CANCELED
-    assert world.in_force == ""
-
-
-def test_goal_that_a_busy_controller_takes_after_it_was_cancelled_is_dropped_first(world) -> None:
-    world.begin(A)
-    sent, world._under_way = world._under_way, None
-    assert world.client.cancel(A)
-    world.step(3.0)
-    assert not world.ended, "the sphere may still begin to move"
-    world._under_way = sent
-    world.step(2.0)
-    assert world.outcome(A) is Outcome.CANCELED
-    assert world.in_force == ""
-
-
-def test_newer_goal_takes_over_without_a_cancel_between(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.begin(B)
-    assert world.ended == {A: (Outcome.ABORTED, "a newer goal has taken over")}
-    world.step(1.0)
-    assert world.in_force == world.stamp(B)
-    world.step(2.0)
-    assert world.outcome(B) is Outcome.SUCCEEDED
-    assert world.cancels == 0 and len(world.sent) == 2
-
-
-def test_goal_after_a_cancel_is_not_dropped_with_the_one_before(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    assert world.client.cancel(A)
-    world._update()  # the request is under way
-    world.begin(B)
-    assert world.outcome(A) is Outcome.ABORTED, "the sphere will not be at rest"
-    assert len(world.sent) == 1
-    world.step(4.0)
-    assert world.outcome(B) is Outcome.SUCCEEDED
-
-
-def test_goal_of_somebody_else_takes_over(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.take(FOREIGN)
-    world.step()
-    assert world.ended == {A: (Outcome.ABORTED, "another goal has taken over")}
-    world.step(5.0)
-    assert world.in_force == FOREIGN and world.cancels == 0 and len(world.sent) == 1
-
-
-def test_goal_in_force_before_is_not_taken_for_a_newer_one(world) -> None:
-    world.take(FOREIGN)
-    world.step(1.0)
-    world.begin(A)
-    world.step()
-    assert not world.ended
-    world.step(3.0)
-    assert world.outcome(A) is Outcome.SUCCEEDED
-
-
-def test_goal_that_is_cancelled_at_the_controller_is_aborted_at_once(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.drop()
-    world.step()
-    assert world.ended == {A: (Outcome.ABORTED, "cancelled at the controller")}
-
-
-def test_lost_goal_is_sent_again_until_the_controller_shows_it(world) -> None:
-    world.begin(A)
-    world._under_way = None
-    world.step(4.0)
-    assert len(world.sent) == 2
-    assert world.outcome(A) is Outcome.SUCCEEDED
-
-
-def test_goal_that_the_controller_refuses_is_aborted(world) -> None:
-    world.takes_goals = False
-    world.begin(A)
-    world.step(6.0)
-    assert world.outcome(A) is Outcome.ABORTED
-    assert "has not taken it" in world.ended[A][1]
-
-
-def test_killed_controller_is_told_once_and_nothing_is_followed_later(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.lives = False
-    world.step(4.0)
-    assert not world.ended
-    world.step(3.0)
-    assert world.ended == {A: (Outcome.ABORTED, "no status of the controller for 5 s")}
-    assert world.cancels == 0, "nobody would be told"
-    world.restart(kept=True)
-    world.step(2.0)
-    assert world.in_force == "", "a goal that has ended is dropped"
-    assert world.cancels == 1
-
-
-def test_goal_goes_on_where_a_controller_is_restarted_in_time(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.lives = False
-    world.step(3.0)
-    world.restart(kept=True)
-    world.step(1.0)
-    assert not world.ended
-    world.step(3.0)
-    assert world.outcome(A) is Outcome.SUCCEEDED
-    assert len(world.sent) == 1
-
-
-def test_goal_that_a_restarted_controller_does_not_know_is_aborted(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.lives = False
-    world.step(2.0)
-    world.restart(kept=False)
-    world.step(2.0)
-    assert not world.ended, "it may still be restored"
-    world.step(5.0)
-    assert world.outcome(A) is Outcome.ABORTED
-    assert "follows it no longer" in world.ended[A][1]
-
-
-def test_older_goal_restored_by_a_restarted_controller_is_replaced(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.begin(B)
-    world.step(0.3)
-    world.lives = False
-    world.in_force = world.stamp(A)
-    world.step(1.0)
-    world.restart(kept=True)
-    world.step(6.0)
-    assert world.outcome(B) is Outcome.SUCCEEDED
-
-
-@pytest.mark.parametrize("restarts", [False, True])
-def test_goal_cancelled_without_a_controller_ends_once(world, restarts) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.lives = False
-    assert world.client.cancel(A)
-    world.step(2.0)
-    assert not world.ended
-    if restarts:
-        world.restart(kept=True)
-    world.step(10.0)
-    assert world.outcome(A) is (Outcome.CANCELED if restarts else Outcome.ABORTED)
-    assert not restarts or world.in_force == ""
-
-
-def test_goal_without_poses_waits_and_is_aborted_in_the_end(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.mode = Kind.NO_FRESH_POSE
-    world.step(15.0)
-    world.mode = Kind.TRACKING
-    world.step(0.5)
-    assert not world.ended
-    world.mode = Kind.CLOCK_STOPPED
-    world.step(19.0)
-    assert not world.ended
-    world.step(2.0)
-    assert world.ended == {A: (Outcome.ABORTED, "the clock stands still, for 20 s")}
-
-
-def test_goal_is_not_aborted_for_poses_that_were_missing_before_it(world) -> None:
-    world.mode = Kind.NO_POSE
-    world.step(100.0)
-    world.begin(A)
-    world.step(1.0)
-    assert not world.ended
-
-
-GIVEN_UP = "no progress towards the goal: it is occupied"
-
-
-def test_goal_that_cannot_be_reached_is_aborted_at_once_and_not_followed_later(world) -> None:
-    world.unreachable.add("1.000000000")
-    world.begin(A)
-    world.step(0.2)
-    assert world.ended == {A: (Outcome.ABORTED, GIVEN_UP)}
-    assert world.missed[A] == (Missed(0, "goal occupied", GIVEN_UP),)
-    world.step(1.0)
-    assert world.in_force == "", "an area that moves on must not let the sphere start"
-
-
-def test_goal_in_the_way_of_which_something_is_waits_and_is_aborted_in_the_end(world) -> None:
-    world.is_final = False
-    world.unreachable.add("1.000000000")
-    world.begin(A)
-    world.step(19.0)
-    assert not world.ended
-    world.step(2.0)
-    assert world.ended == {A: (Outcome.ABORTED, f"{GIVEN_UP}, for 20 s")}
-    assert world.missed[A][0].cause == Kind.NO_PROGRESS.value
-
-
-def test_goal_goes_on_where_what_was_in_the_way_has_moved(world) -> None:
-    world.is_final = False
-    world.unreachable.add("1.000000000")
-    world.begin(A)
-    world.step(19.0)
-    world.unreachable.clear()
-    world.take(world.in_force)
-    world.step(3.0)
-    assert world.outcome(A) is Outcome.SUCCEEDED
-
-
-@pytest.mark.parametrize("mode", [Kind.SATURATED, Kind.FALLBACK, Kind.POSE_JUMPED])
-def test_no_mode_keeps_a_goal_for_ever(world, mode) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.mode = mode
-    world.step(21.0)
-    assert world.ended == {A: (Outcome.ABORTED, f"{mode.value}, for 20 s")}
-
-
-def test_goal_ends_at_once_where_the_controller_is_disabled(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.mode = Kind.DISABLED
-    world.step(0.1)
-    assert world.ended == {A: (Outcome.ABORTED, "disabled")}
-
-
-def test_stages_are_sent_in_order_with_a_pause_at_each(world) -> None:
-    world.begin(A, stages=3, pause=1.0)
-    world.step(2.5)
-    assert (world.mode, world.client.stage) == (Kind.AT_GOAL, 0), "pause"
-    world.step(1.0)
-    assert (world.mode, world.client.stage) == (Kind.TRACKING, 1)
-    world.step(6.0)
-    assert world.ended == {A: (Outcome.SUCCEEDED, "at the goal")}
-    assert world.sent == world.stamps and len(world.stamps) == 3 and not world.missed[A]
-    world.step(5.0)
-    assert world.in_force == world.stamps[-1], "it stays there"
-
-
-@pytest.mark.parametrize("missed", [{0}, {1}, {2}, {0, 2}])
-def test_stage_that_cannot_be_reached_is_missed_and_the_next_one_sent(world, missed) -> None:
-    world.unreachable = {f"{stage + 1}.000000000" for stage in missed}
-    world.begin(A, stages=3)
-    world.step(10.0)
-    assert world.ended == {A: (Outcome.SUCCEEDED, f"{len(missed)} of 3 missed")}
-    assert [one.stage for one in world.missed[A]] == sorted(missed)
-    assert (world.in_force == "") is (2 in missed), "what was missed is not followed later"
-
-
-def test_goal_of_which_no_stage_can_be_reached_is_aborted(world) -> None:
-    world.unreachable = {"1.000000000", "2.000000000"}
-    world.begin(A, stages=2)
-    world.step(3.0)
-    assert world.ended == {A: (Outcome.ABORTED, GIVEN_UP)}
-    assert len(world.missed[A]) == 2
-
-
-def test_what_no_other_stage_would_mend_ends_the_goal(world) -> None:
-    world.begin(A, stages=3)
-    world.step(3.5)
-    world.mode = Kind.DISABLED
-    world.step(0.1)
-    assert world.ended == {A: (Outcome.ABORTED, "disabled")} and len(world.stamps) == 2
-
-
-def test_goal_can_be_cancelled_and_taken_over_during_a_pause(world) -> None:
-    world.begin(A, stages=2, pause=5.0)
-    world.step(4.0)
-    assert world.mode is Kind.AT_GOAL and not world.ended
-    assert world.client.cancel(A)
-    world.step(1.0)
-    assert world.outcome(A) is Outcome.CANCELED and world.in_force == ""
-    world.begin(B, stages=2, pause=5.0)
-    world.step(4.0)
-    world.begin(C)
-    assert world.ended[B] == (Outcome.ABORTED, "a newer goal has taken over")
-    world.step(4.0)
-    assert world.outcome(C) is Outcome.SUCCEEDED
-    world.begin(b"D", stages=2, pause=5.0)
-    world.step(4.0)
-    world.take(FOREIGN)
-    world.step(0.1)
-    assert world.ended[b"D"] == (Outcome.ABORTED, "another goal has taken over")
-
-
-def test_abandoned_goal_ends_and_is_dropped(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.client.abandon("the navigator has ended")
-    world._update()
-    assert world.ended == {A: (Outcome.ABORTED, "the navigator has ended")}
-    world.step(1.0)
-    assert world.in_force == ""
-    world.client.abandon("again")
-    assert world.client.update(world.now) == Due()
-
-
-def test_goal_that_is_left_to_the_controller_is_over_once_it_is_shown(world) -> None:
-    world.begin(A, until_taken=True)
-    world._under_way = None
-    world.step(1.0)
-    assert not world.ended, "it was lost"
-    world.step(0.5)
-    assert world.outcome(A) is Outcome.SUCCEEDED and world.mode is Kind.TRACKING
-    world.mode = Kind.DISABLED
-    world.step(30.0)
-    assert world.in_force == world.stamp(A) and world.cancels == 0, "it is not given up"
-
-
-def test_goal_is_sent_when_there_is_a_controller(world) -> None:
-    world.can_send = False
-    world.begin(A)
-    world.step(2.0)
-    assert not world.sent
-    world.can_send = True
-    world.step(3.0)
-    assert world.outcome(A) is Outcome.SUCCEEDED and len(world.sent) == 1
-
-
-def test_time_in_which_the_process_was_stopped_is_no_silence_of_the_controller(world) -> None:
-    world.begin(A)
-    world.step(1.0)
-    world.now += 100.0
-    world._update()
-    assert not world.ended
-    world.step(2.0)
-    assert world.outcome(A) is Outcome.SUCCEEDED
-
-
-EVENTS = (
-    "begin", "begin several", "cancel", "foreign", "kill", "restart", "restart with memory",
-    "lose", "drop",
+            self._under_way = stamp_text(self.client.stamp)
+            self.stamp_of[self.client.message] = self._under_way
+            self.sent += 1
+
+
+DONE, STOPPED, FAILED = Outcome.SUCCEEDED, Outcome.CANCELED, Outcome.ABORTED
+REACHED, AT_REST = "at the goal", "at rest"
+GONE = "no status of the controller for 5 s"
+NOT_TAKEN = "the controller has not taken it, for 5 s; its log says more"
+NO_LONGER = "the controller follows it no longer, for 5 s; its log says more"
+CASES = {
+    "it stays at the goal": (
+        ["begin A", 22.0], {"A": (2.0, DONE, REACHED)}, "A", 1, 0,
+    ),
+    "cancelled twice": (
+        ["begin A", 1.0, "cancel A", "cancel A", 1.0, "cancel A"],
+        {"A": (1.3, STOPPED, AT_REST)}, "", 1, 1,
+    ),
+    "cancelled at once": (
+        ["begin A", "cancel A", 3.0], {"A": (0.4, STOPPED, AT_REST)}, "", 1, 1,
+    ),
+    "a busy controller takes it after it was cancelled": (
+        ["begin A", "hold_up", "cancel A", 3.0, "arrive", 2.0],
+        {"A": (3.4, STOPPED, AT_REST)}, "", 1, 1,
+    ),
+    "cancelled while the controller is gone": (
+        ["begin A", 1.0, "kill", "cancel A", 12.0], {"A": (6.1, FAILED, GONE)}, "A", 1, 1,
+    ),
+    "cancelled before the controller is restarted": (
+        ["begin A", 1.0, "kill", "cancel A", 2.0, "restore", 10.0],
+        {"A": (3.3, STOPPED, AT_REST)}, "", 1, 1,
+    ),
+    "cancelled during a pause": (
+        ["stages A", 2.5, "cancel A", 1.0], {"A": (2.8, STOPPED, AT_REST)}, "", 1, 1,
+    ),
+    "taken over without a cancel": (
+        ["begin A", 1.0, "begin B", 3.0], {"A": (1.0, FAILED, NEWER), "B": (3.0, DONE, REACHED)},
+        "B", 2, 0,
+    ),
+    "a goal after a cancel is not dropped with the one before": (
+        ["begin A", 1.0, "cancel A", "begin B", 4.0],
+        {"A": (1.0, FAILED, NEWER), "B": (3.1, DONE, REACHED)}, "B", 2, 1,
+    ),
+    "another's goal": (
+        ["begin A", 1.0, "foreign", 5.0], {"A": (1.1, FAILED, OTHER)}, FOREIGN, 1, 0,
+    ),
+    "another's goal before": (
+        ["foreign", 1.0, "begin A", 3.0], {"A": (3.0, DONE, REACHED)}, "A", 1, 0,
+    ),
+    "cancelled at the controller": (
+        ["begin A", 1.0, "drop", 1.0], {"A": (1.1, FAILED, "cancelled at the controller")}, "",
+        1, 0,
+    ),
+    "lost and sent again": (
+        ["begin A", "lose", 4.0], {"A": (3.0, DONE, REACHED)}, "A", 2, 0,
+    ),
+    "refused": (["refuse", "begin A", 6.0], {"A": (5.1, FAILED, NOT_TAKEN)}, "", 5, 0),
+    "killed controller, whose goal is dropped once it is back": (
+        ["begin A", 1.0, "kill", 7.0, "restore", 2.0], {"A": (6.1, FAILED, GONE)}, "", 1, 1,
+    ),
+    "controller restarted in time": (
+        ["begin A", 1.0, "kill", 3.0, "restore", 4.0], {"A": (6.0, DONE, REACHED)}, "A", 1, 0,
+    ),
+    "restarted controller without a memory": (
+        ["begin A", 1.0, "kill", 2.0, "restart", 7.0], {"A": (6.1, FAILED, NO_LONGER)}, "", 1, 0,
+    ),
+    "restarted controller that restores the goal before": (
+        ["begin A", 1.0, "begin B", 0.3, "kill", 1.0, "restore A", 6.0],
+        {"A": (1.0, FAILED, NEWER), "B": (4.4, DONE, REACHED)}, "B", 3, 0,
+    ),
+    "without poses, then without a clock": (
+        ["begin A", 1.0, "mode NO_FRESH_POSE", 15.0, "mode TRACKING", 0.5, "mode CLOCK_STOPPED",
+         21.0],
+        {"A": (36.6, FAILED, "the clock stands still, for 20 s")}, "", 1, 1,
+    ),
+    "poses that were missing before": (["mode NO_POSE", 100.0, "begin A", 1.0], {}, "A", 1, 0),
+    "disabled": (
+        ["begin A", 1.0, "mode DISABLED", 0.1], {"A": (1.1, FAILED, "disabled")}, "A", 1, 1,
+    ),
+    "unreachable, and not followed if the area moves on": (
+        ["occupied 1", "begin A", 2.0], {"A": (0.1, FAILED, GIVEN_UP)}, "", 1, 1,
+    ),
+    "blocked for too long": (
+        ["blocked 1", "begin A", 21.0], {"A": (20.1, FAILED, f"{GIVEN_UP}, for 20 s")}, "", 1, 1,
+    ),
+    "blocked for a while": (
+        ["blocked 1", "begin A", 19.0, "freed", 3.0], {"A": (21.0, DONE, REACHED)}, "A", 1, 0,
+    ),
+    "stages with a pause at each": (
+        ["stages A", 14.0], {"A": (9.2, DONE, REACHED)}, "A", 3, 0,
+    ),
+    "what no other stage would mend": (
+        ["stages A", 3.5, "mode DISABLED", 0.1], {"A": (3.6, FAILED, "disabled")}, "A", 2, 1,
+    ),
+    "abandoned": (
+        ["begin A", 1.0, "abandon", 1.0, "abandon"],
+        {"A": (1.0, FAILED, "the navigator has ended")}, "", 1, 1,
+    ),
+    "left to the controller once it is shown": (
+        ["leave A", "lose", 2.0, "mode DISABLED", 30.0], {"A": (1.1, DONE, REACHED)}, "A", 2, 0,
+    ),
+    "sent when there is a controller": (
+        ["no_controller", "begin A", 2.0, "controller", 3.0], {"A": (4.0, DONE, REACHED)}, "A",
+        1, 0,
+    ),
+    "this process is stopped for a while": (
+        ["begin A", 1.0, "stopped", 2.0], {"A": (2.0, DONE, REACHED)}, "A", 1, 0,
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("events", "ended", "in_force", "sent", "cancels"), CASES.values(), ids=CASES
 )
+def test_goal_has_the_right_end_at_the_right_time(events, ended, in_force, sent, cancels) -> None:
+    world = World()
+    world.play(*events)
+    assert {goal: end[1:] for goal, end in world.ended.items()} == {
+        goal: end[1:] for goal, end in ended.items()
+    }
+    for goal, end in ended.items():
+        assert world.ended[goal][0] == pytest.approx(end[0], abs=0.5 * STEP)
+    assert world.in_force == world.stamp_of.get(in_force, in_force)
+    assert (world.sent, world.cancels) == (sent, cancels)
+
+
+def test_goal_under_way_and_its_stage_are_told() -> None:
+    world = World()
+    world.play("stages A", 1.0)
+    assert (world.client.goal, world.client.stage) == ("A", 0)
+    assert world.client.report.time_left == pytest.approx(1.0)
+    world.play(3.0)
+    assert (world.mode, world.client.stage) == (Kind.TRACKING, 1)
+
+
+@pytest.mark.parametrize("missed", ["1", "2", "3", "1+3", "1+2+3"])
+def test_stage_that_cannot_be_reached_is_missed_and_the_next_one_sent(missed) -> None:
+    world = World()
+    world.play(f"occupied {missed}", "stages A", 15.0)
+    stages = [int(stage) - 1 for stage in missed.split("+")]
+    assert world.missed == {"A": [(stage, "goal occupied") for stage in stages]}
+    expected = (FAILED, GIVEN_UP) if len(stages) == 3 else (DONE, f"{len(stages)} of 3 missed")
+    assert world.ended["A"][1:] == expected
+    assert (world.in_force == "") is (2 in stages), "what was missed is not followed later"
+
+
+EVENTS = ("begin", "stages", "cancel", "foreign", "kill", "restart", "restore", "lose", "drop")
 
 
 @given(st.lists(st.tuples(st.sampled_from(EVENTS), st.integers(0, 25)), max_size=25))
 def test_each_goal_has_one_end_whatever_happens(events) -> None:
     world, begun = World(), 0
     for event, steps in events:
-        if event in ("begin", "begin several"):
+        if event in ("begin", "stages"):
             begun += 1
-            world.begin(str(begun).encode(), 1 + 2 * (event == "begin several"), 0.5)
+            world.happen(event, str(begun))
         elif event == "cancel" and world.client.goal:
-            assert world.client.cancel(world.client.goal)
-        elif event == "foreign" and world.lives:
-            world.take(FOREIGN)
-        elif event == "kill":
-            world.lives = False
-        elif event.startswith("restart") and not world.lives:
-            world.restart(kept="memory" in event)
-        elif event == "lose":
-            world._under_way, world._cancel_under_way = None, False
-        elif event == "drop" and world.lives:
-            world.drop()
+            world.happen(event, world.client.goal)
+        elif event in ("kill", "lose") or (
+            event != "cancel" and world.lives is (event in ("foreign", "drop"))
+        ):
+            world.happen(event)
         world.step(steps * STEP)
     world.step(20.0)
     assert len(world.ended) == begun
     # What is followed in the end is a goal that was reached, or one of somebody else.
-    followed = {world.stamp(goal): goal for goal in world.ended}.get(world.in_force)
+    followed = {world.stamp_of[goal]: goal for goal in world.ended}.get(world.in_force)
     assert followed or world.in_force in ("", FOREIGN) or not world.lives
     world.step(3.0)
     assert not world.lives or followed is None or (
-        world.in_force == "" or world.outcome(followed) is Outcome.SUCCEEDED
+        world.in_force == "" or world.ended[followed][1] is DONE
     )

@@ -69,16 +69,15 @@ class Robot:
     def __init__(self) -> None:
         self.sent = SentInputs()
         self.feedback = RotorFeedback(self.sent, LIMIT)
-        self.arrived: FirstOrderHold | None = None
+        self.newest = self.arrived = FirstOrderHold.constant(0.0, np.zeros(2))
 
     def send(self, start: float, first: float, slope: float, arrives: bool = False) -> None:
         """Send a ramp of ten seconds [rad/s, rad/s^2] of rotor 1, the other one at rest."""
-        hold = FirstOrderHold(
+        self.newest = FirstOrderHold(
             np.array([start, start + 10.0]), np.array([[first, 0.0], [first + 10.0 * slope, 0.0]])
         )
-        self.sent.record(hold)
-        self.feedback.sent(hold)
-        self.newest = hold
+        self.sent.record(self.newest)
+        self.feedback.sent(self.newest)
         if arrives:
             self.arrive()
 
@@ -86,12 +85,9 @@ class Robot:
         """Follow the newest hold from now on."""
         self.arrived = self.newest
 
-    def measure(self, *times: float, lag: float = 0.0) -> None:
+    def measure(self, *times: float) -> None:
         for time in times:
-            self.feedback.observe(time, self.speeds(time - lag), lag)
-
-    def speeds(self, time: float) -> np.ndarray:
-        return np.zeros(2) if self.arrived is None else self.arrived.at(time)
+            self.feedback.observe(time, self.arrived.at(time))
 
     def believed(self, *times: float) -> list[float]:
         return [float(self.sent.at(time)[0]) for time in times]
@@ -102,7 +98,7 @@ def robot() -> Robot:
     return Robot()
 
 
-def test_lost_command_was_never_followed(robot: Robot) -> None:
+def test_lost_command_was_never_followed(robot) -> None:
     robot.send(1.0, 0.0, 10.0, arrives=True)
     robot.measure(1.2)
     assert robot.believed(0.9, 1.2, 5.0) == pytest.approx([0.0, 2.0, 40.0], abs=EXACT)
@@ -116,7 +112,7 @@ def test_lost_command_was_never_followed(robot: Robot) -> None:
     assert robot.feedback.loss == pytest.approx(1 / 3) and robot.feedback.shows_link
 
 
-def test_late_command_is_followed_from_when_it_was_measured(robot: Robot) -> None:
+def test_late_command_is_followed_from_when_it_was_measured(robot) -> None:
     robot.send(1.0, 0.0, 10.0, arrives=True)
     robot.measure(1.9)
     robot.send(2.0, 10.0, -10.0)
@@ -136,7 +132,7 @@ def test_late_command_is_followed_from_when_it_was_measured(robot: Robot) -> Non
     ids=["late", "weak"],
 )
 def test_rotors_that_catch_up_as_fast_as_they_can_are_late_and_slower_ones_weak(
-    robot: Robot, late: float, slope: float, window: float, expected: list[float]
+    robot, late, slope, window, expected
 ) -> None:
     robot.send(1.0, 0.0, LIMIT)
     for time in (1.05, 1.07, 1.09):
@@ -145,7 +141,7 @@ def test_rotors_that_catch_up_as_fast_as_they_can_are_late_and_slower_ones_weak(
     assert robot.feedback.window == pytest.approx(window)
 
 
-def test_window_is_limited_and_shrinks_while_commands_are_in_time(robot: Robot) -> None:
+def test_window_is_limited_and_shrinks_while_commands_are_in_time(robot) -> None:
     robot.send(1.0, 0.0, 10.0)
     robot.measure(1.5)
     robot.arrive()

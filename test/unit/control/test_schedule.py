@@ -49,20 +49,17 @@ def schedule() -> Schedule:
 
 
 def test_late_ticks_plan_for_their_instants_and_for_what_is_left_of_their_share(schedule) -> None:
-    made = requests(schedule, 1.0, 1.55, 2.0, 3.5)
-    assert [request.instant for request in made] == pytest.approx([1.0, 1.5, 2.0, 3.5])
-    assert [request.now for request in made] == [1.0, 1.55, 2.0, 3.5]
-    assert [r.time_budget for r in made] == pytest.approx([SHARE, SHARE - 0.05, SHARE, SHARE])
-    assert schedule.missed == 2
-
-
-def test_plan_is_made_for_when_its_command_will_be_ready(schedule) -> None:
-    """A clock of 20 Hz is up to 50 ms late; the pose of a tick must not be newer than its plan."""
-    requests(schedule, 1.0, 1.55)
+    times, late = [1.0, 2.0, 3.5, 4.05], [0.0, 0.0, 0.0, 0.05]
+    made = requests(schedule, *times)
+    assert [request.instant for request in made] == pytest.approx([1.0, 2.0, 3.5, 4.0])
+    assert [request.now for request in made] == times
+    assert [r.time_budget for r in made] == pytest.approx([SHARE - one for one in late])
+    assert schedule.missed == 3
+    # A plan is made for when its command will be ready, so that no pose is newer than its plan.
     schedule.completed(0.04, solved=True)
     schedule.window = 0.1
-    request = schedule.tick(2.05)
-    assert request.instant == pytest.approx(2.0 + 0.09 + 0.1)
+    request = schedule.tick(4.55)
+    assert request.instant == pytest.approx(4.5 + 0.05 + 0.04 + 0.1)
     assert request.time_budget == pytest.approx(SHARE - 0.05), "counted from the instant itself"
 
 
@@ -92,6 +89,7 @@ def test_goal_starts_a_new_grid_until_a_plan_towards_it_is_solved(schedule) -> N
     assert not schedule.may_start
     schedule.goal_changed()
     assert schedule.may_start
+    assert not Schedule(PAPER, ClockWatch(simulated=True)).may_start, "its pace is not known"
 
 
 def test_jump_of_the_clock_begins_a_new_grid_and_drops_the_pose_that_was_kept(schedule) -> None:
@@ -106,11 +104,6 @@ def test_jump_of_the_clock_begins_a_new_grid_and_drops_the_pose_that_was_kept(sc
     assert schedule.command_time(request, 0.02) == pytest.approx(0.4)
     assert schedule.missed == 0
     assert schedule.may_start
-
-
-def test_start_waits_for_the_pace_of_the_clock() -> None:
-    assert not Schedule(PAPER, ClockWatch(simulated=True)).may_start
-    assert Schedule(PAPER, watched(1.0, until=0.3)).may_start
 
 
 def test_lockstep_plans_once_for_each_pose_of_a_sampling_instant() -> None:

@@ -1,10 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Pace and jumps of control time, and missed samples."""
+"""Pace and jumps of control time, missed samples, and the newest values of a stream."""
+
+import math
 
 import numpy as np
 import pytest
 
+from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.timing import ClockWatch, MissedSamples
 
 SPACING = 0.01
@@ -105,3 +108,15 @@ def test_misses_are_reported_after_five_seconds_and_until_they_are_over() -> Non
     # Neither a slow start, nor a clock that is set ahead, nor two per cent.
     for few in ([900, 700, 300, 200, *[0] * 16], [0] * 10 + [1_800_000], [10] * 20):
         assert not any(reported(few))
+
+
+def test_mean_and_quantiles_are_those_of_the_newest_values_that_are_known() -> None:
+    recent, values = Recent(5), np.random.default_rng(1).normal(size=9)
+    assert math.isnan(recent.mean) and math.isnan(recent.quantile(0.5)) and not recent.is_full
+    recent.extend(values)
+    assert recent.is_full and recent.mean == pytest.approx(np.mean(values[4:]), abs=1e-15)
+    for share in (0.0, 0.3, 0.5, 1.0):
+        expected = np.quantile(values[4:], share)
+        assert recent.quantile(share) == pytest.approx(expected, abs=1e-15)
+    recent.extend((math.nan, 2.0, 3.0, 2.5, math.nan))
+    assert (recent.quantile(0.0), recent.quantile(1.0)) == (2.0, 3.0)

@@ -132,11 +132,3 @@ def test_write_ahead_log_of_a_killed_recorder_is_read(tmp_path) -> None:
         shutil.copytree(bag, killed)
     assert (killed / "mine_0.db3-wal").exists()
     assert len(read_run(killed).times) == 301
-
-
-@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
-def test_parameters_are_read_without_metadata(tmp_path, kind) -> None:
-    custom = {"parameters:/controller": '{"robot.shell_mass": 1.5}'}
-    bag = write_rosbag2(tmp_path / "mine", run_messages(), kind, custom=custom)
-    (bag / "metadata.yaml").unlink()
-    assert read_run(bag).robot.shell_mass == 1.5

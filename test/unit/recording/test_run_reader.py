@@ -3,6 +3,7 @@
 """Bags of every recorder give the same arrays and times; others give one clear error."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -21,7 +22,6 @@ from recorded_bags import (
     run_messages,
     walled_messages,
     without,
-    write_own,
     write_rosbag2,
 )
 from rosbags.rosbag2 import Reader
@@ -33,6 +33,8 @@ from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
 
 POSE_PERIOD = 0.01
+STARTS = 0.5 * np.arange(7)
+"""Times of the plans and solves of `run_messages` [s]."""
 
 
 def figures(run) -> dict[str, float]:
@@ -41,12 +43,8 @@ def figures(run) -> dict[str, float]:
     return dataclasses.asdict(metrics)
 
 
-def same(given, expected) -> bool:
-    return given == pytest.approx(expected, rel=1e-9, abs=1e-9, nan_ok=True)
-
-
-def test_run_is_read_as_arrays(tmp_path) -> None:
-    run = read_run(write_own(tmp_path / "bag", run_messages()))
+def test_run_is_read_as_arrays(whole) -> None:
+    run = whole
     assert run.notes == ()
     np.testing.assert_allclose(run.times, np.arange(301) * 0.01, atol=1e-9)
     np.testing.assert_allclose(run.states[0], [2, -1, np.cos(0.5), 0, 0, np.sin(0.5)])
@@ -58,7 +56,7 @@ def test_run_is_read_as_arrays(tmp_path) -> None:
     assert len(run.plans) == 7
     np.testing.assert_allclose(run.plans[1].times, [0.5, 1.0])
     np.testing.assert_allclose(run.plans[1].speeds, [[1, 2], [3, 4]])
-    np.testing.assert_allclose(run.solves.times, np.arange(7) * 0.5, atol=1e-9)
+    np.testing.assert_allclose(run.solves.times, STARTS, atol=1e-9)
     np.testing.assert_allclose(run.solves.durations[:2], [1e-3, 51e-3])
     assert set(run.solves.statuses) == {"solved"}
     assert run.momentum.is_zero
@@ -67,31 +65,52 @@ def test_run_is_read_as_arrays(tmp_path) -> None:
     assert figures(run)["settle_time_s"] == pytest.approx(expected, abs=0.02)
 
 
+def shift(message) -> None:
+    for pair in message.values:
+        if pair.key == "time_s":
+            pair.value = str(float(pair.value) + 70.0)
+
+
+UNDATED = [
+    changed(entry, stamp=0) if entry[0] == "/rotor_trajectory" else
+    changed(entry, edit=shift) if entry[0] == "/controller/status" else entry
+    for entry in run_messages()
+]
+"""A run whose plans and solves have no time of their own, so that their log times count."""
+
+
 @pytest.mark.parametrize(
-    ("kind", "compression"),
-    [("sqlite3", ""), ("sqlite3", "file"), ("mcap", ""), ("mcap", "message")],
+    ("kind", "compression", "entries", "exactly"),
+    [
+        ("sqlite3", "", [*run_messages()], 1e-9), ("sqlite3", "file", UNDATED, POSE_PERIOD),
+        ("mcap", "", UNDATED, POSE_PERIOD), ("mcap", "message", [*run_messages()], 1e-9),
+    ],
+    ids=["sqlite", "sqlite, compressed", "mcap", "mcap, compressed"],
 )
-def test_bags_of_other_recorders_give_the_same_run(tmp_path, kind, compression) -> None:
+def test_bags_of_other_recorders_give_the_same_run(
+    tmp_path, whole, kind, compression, entries, exactly
+) -> None:
     """Log times are of the system clock; stamps relate them to simulated time."""
-    expected = read_run(write_own(tmp_path / "own", run_messages()))
-    entries = on_the_system_clock(run_messages())
-    bag = write_rosbag2(tmp_path / "mine", entries, kind, compression, 2)
+    entries = on_the_system_clock(entries)
+    custom = {"parameters:/controller": '{"robot.shell_mass": 1.5}'}
+    bag = write_rosbag2(tmp_path / "mine", entries, kind, compression, 2, custom)
     with Reader(bag) as reader:  # an independent reader takes the bag of this test
         assert [log for _, log, _ in reader.messages()] == [entry[2] for entry in entries]
     (bag / "metadata.yaml").unlink()
     run = read_run(bag)
-    assert run.notes and same(run.times, expected.times)
-    assert same(run.solves.times, expected.solves.times)
+    assert run.notes and run.robot.shell_mass == 1.5
+    assert run.times == pytest.approx(whole.times, rel=1e-9, abs=1e-9)
     assert run.goal_times == pytest.approx([0.0], abs=0.011)
-    assert same([it.start for it in run.plans], [it.start for it in expected.plans])
+    assert [plan.start for plan in run.plans] == pytest.approx(STARTS, abs=exactly)
+    assert run.solves.times == pytest.approx(STARTS, abs=exactly)
     settled = "settle_time_s"
-    assert figures(run)[settled] == pytest.approx(figures(expected)[settled], abs=0.011)
+    assert figures(run)[settled] == pytest.approx(figures(whole)[settled], abs=0.011)
 
 
-def test_momentum_and_pushes_are_read(tmp_path) -> None:
-    momentum = read_run(write_own(tmp_path / "bag", momentum_messages())).momentum
+def test_momentum_and_pushes_are_read(read) -> None:
+    momentum = read(momentum_messages()).momentum
     assert not momentum.is_zero
-    np.testing.assert_allclose(momentum.times, np.arange(7) * 0.5, atol=1e-9)
+    np.testing.assert_allclose(momentum.times, STARTS, atol=1e-9)
     assert not momentum.values[:3].any()
     np.testing.assert_allclose(momentum.values[3:], np.tile([0.075, 0.15, 0.0], (4, 1)))
     np.testing.assert_allclose(momentum.push_times, [1.0], atol=1e-9)
@@ -116,14 +135,14 @@ def test_momentum_and_pushes_are_read(tmp_path) -> None:
         ("/controller/active_goal", "active_goal is missing; goal_pose is used instead"),
     ],
 )
-def test_every_topic_but_the_poses_may_be_missing(tmp_path, missing, note) -> None:
-    run = read_run(write_own(tmp_path / "bag", without(run_messages(), missing)))
+def test_every_topic_but_the_poses_may_be_missing(read, missing, note) -> None:
+    run = read(without(run_messages(), missing))
     assert run.notes == (note,)
     assert np.isfinite(figures(run)["settle_time_s"])
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_invalid_messages_and_numbers_of_no_robot_are_ignored(tmp_path) -> None:
+def test_invalid_messages_and_numbers_of_no_robot_are_ignored(read) -> None:
     def turn(message) -> None:
         message.pose.orientation.w = 0.3
 
@@ -151,7 +170,7 @@ def test_invalid_messages_and_numbers_of_no_robot_are_ignored(tmp_path) -> None:
     entries = [changed(e, edit=race) if e is first["/joint_states"] else e for e in entries]
     lures = ("\x1b]0;mine\x07", "\n[FATAL] all is lost ", 1000 * "x")  # are no names of topics
     lures = [(f"/{lure}/active_goal", *entries[0][1:]) for lure in lures]
-    run = read_run(write_own(tmp_path / "bag", [*entries, *broken, *lures]))
+    run = read([*entries, *broken, *lures])
     assert len(run.goals) == 1 and len(run.plans) == len(run.solves.times) == 7
     assert len(run.times) == 301 and np.isnan([run.rotor_speeds[0], run.rotor_torques[0]]).all()
     assert run.notes == (
@@ -162,76 +181,72 @@ def test_invalid_messages_and_numbers_of_no_robot_are_ignored(tmp_path) -> None:
     figures(run)
 
 
-def test_run_to_each_goal_has_what_belongs_to_it(tmp_path) -> None:
+def test_run_to_each_goal_has_what_belongs_to_it(read) -> None:
     entries = without(run_messages(), "active_goal")
-    whole = read_run(write_own(
-        tmp_path / "mine", in_order(goal_at(5.0, 0.0), goal_at(0.0, 1.0), *entries)
-    ))
-    first, last = whole.to_goal(1), whole.to_goal(2)
+    run = read(in_order(goal_at(5.0, 0.0), goal_at(0.0, 1.0), *entries))
+    first, last = run.to_goal(1), run.to_goal(2)
     np.testing.assert_allclose(first.times, 0.01 * np.arange(100), atol=1e-9)
     np.testing.assert_allclose(last.times, 0.01 * np.arange(201), atol=1e-9)
     np.testing.assert_allclose(first.solves.times, [0.0, 0.5], atol=1e-9)
     np.testing.assert_allclose(last.solves.times, 0.5 * np.arange(5), atol=1e-9)
     assert [plan.start for plan in last.plans] == pytest.approx(0.5 * np.arange(5))
     assert len(first.joint_times) == 100 and len(first.goals) == len(last.goals) == 1
-    assert (first.name, last.name) == ("mine, goal 1", "mine, goal 2")
-    assert whole.metrics() == last.metrics() != first.metrics()
+    assert (first.name, last.name) == (f"{run.name}, goal 1", f"{run.name}, goal 2")
+    assert run.metrics() == last.metrics() != first.metrics()
     assert first.goal[0] == 5.0 and last.goal[0] == 0.0
 
 
-def given_in_turn(*kinds: str, same_pose: bool = False) -> list[Entry]:
-    """Return the poses of `run_messages` with goals where they are after 1, 2 and 3 s.
+TILT = [np.cos(0.3), np.sin(0.3), 0.0, 0.0]
 
-    The goals are upright, but the sphere has turned about the vertical and tilted there; their
-    kinds are in the statuses. Those of kind "" have none.
+
+def given_in_turn(
+    *kinds: str, same_pose: bool = False, turn: Sequence[float] = TILT
+) -> list[Entry]:
+    """Return poses that are at x = 0, 1, 2 m for a second each, with goals there.
+
+    The goals are upright, unlike the sphere; their kinds are in the statuses. Those of kind ""
+    have none. With the same pose for all goals, the sphere stays there.
     """
-    tilt = np.array([np.cos(0.3), np.sin(0.3), 0.0, 0.0])
     poses = [
-        ("/pose", POSE, stamp, pose(stamp, (min(i // 100, 2.0 * (not same_pose)), 0.0, *tilt)))
-        for i in range(301) for stamp in (START + i * STEP,)
+        ("/pose", POSE, stamp, pose(stamp, (x, 0.0, *turn)))
+        for i in range(100 * len(kinds) + 1)
+        for stamp, x in [(START + i * STEP, 0.0 if same_pose else min(i // 100, len(kinds) - 1))]
     ]
     goals = [goal_at(0.0 if same_pose else i, i) for i in range(len(kinds))]
     told = [demand(goal, kind) for goal, kind in zip(goals, kinds, strict=True) if kind]
     return in_order(*goals, *told, *poses)
 
 
-def test_errors_are_those_to_what_the_goals_demand(tmp_path) -> None:
-    kinds = ("any", "any_heading", "full")
-    run = read_run(write_own(tmp_path / "bag", given_in_turn(*kinds)))
-    point, heading, whole = (run.to_goal(i) for i in (1, 2, 3))
-    metrics = point.metrics()
-    assert metrics.settled and metrics.settle_time_s == metrics.final_error == 0.0
-    assert np.isnan(metrics.final_orientation_error_rad), "nothing is demanded of it"
-    for other in (heading, whole):
-        metrics = other.metrics()
-        assert not metrics.settled and metrics.final_position_error_m == 0.0
-        assert metrics.final_orientation_error_rad == pytest.approx(0.6)
-    assert [run.goal_at(time).orientation.value for time in (0.5, 1.5, 2.5)] == [*kinds]
-    assert np.all(run.errors[:100, :2] == 0.0) and np.isnan(run.errors[:100, 2]).all()
+NOT_ASKED, TILTED = (Orientation.ANY, True, np.nan), (Orientation.FULL, False, 0.6)
 
 
-def test_goal_with_any_heading_is_reached_with_any(tmp_path) -> None:
-    turned = [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]
-    entries = [entry for entry in given_in_turn("any_heading") if entry[0] != "/pose"]
-    entries += [("/pose", POSE, stamp, pose(stamp, (0.0, 0.0, *turned)))
-                for stamp in range(START, START + 100 * STEP, STEP)]
-    metrics = read_run(write_own(tmp_path / "bag", in_order(*entries))).metrics()
-    assert metrics.settled and metrics.final_orientation_error_rad < 1e-9
-
-
-@pytest.mark.parametrize("kind", ["", "full", "upside down"])
-def test_goal_is_a_whole_pose_where_no_status_says_otherwise(tmp_path, kind) -> None:
-    run = read_run(write_own(tmp_path / "bag", given_in_turn(kind)))
-    assert run.goals[0].orientation is Orientation.FULL
-    assert run.metrics().final_orientation_error_rad == pytest.approx(0.6)
-
-
-def test_same_pose_that_is_given_again_for_its_position_is_another_goal(tmp_path) -> None:
-    entries = given_in_turn("full", "any", "any", same_pose=True)
-    run = read_run(write_own(tmp_path / "bag", entries))
-    assert [goal.orientation for goal in run.goals] == [Orientation.FULL, Orientation.ANY]
-    assert run.goal_times == pytest.approx([0.0, 1.0], abs=1e-9)
-    assert not run.to_goal(1).metrics().settled and run.to_goal(2).metrics().settled
+@pytest.mark.parametrize(
+    ("kinds", "options", "judged"),
+    [
+        (("any", "any_heading", "full"), {},
+         [NOT_ASKED, (Orientation.ANY_HEADING, False, 0.6), TILTED]),
+        (("any_heading",), {"turn": [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]},
+         [(Orientation.ANY_HEADING, True, 0.0)]),
+        (("",), {}, [TILTED]),
+        (("upside down",), {}, [TILTED]),
+        # A pose that is given again for its position alone is another goal.
+        (("full", "any", "any"), {"same_pose": True}, [TILTED, NOT_ASKED]),
+    ],
+    ids=["each kind", "heading alone", "none told", "unknown", "same pose"],
+)
+def test_errors_are_those_to_what_the_goals_demand(read, kinds, options, judged) -> None:
+    run = read(given_in_turn(*kinds, **options))
+    assert run.goal_times == pytest.approx(np.arange(len(judged)), abs=1e-9)
+    for number, (orientation, settled, error) in enumerate(judged, start=1):
+        metrics = run.to_goal(number).metrics()
+        assert run.goals[number - 1] is run.goal_at(number - 0.5)
+        assert (run.goals[number - 1].orientation, metrics.settled) == (orientation, settled)
+        assert metrics.final_position_error_m == 0.0
+        assert metrics.final_orientation_error_rad == pytest.approx(error, abs=1e-9, nan_ok=True)
+        if orientation is Orientation.ANY:
+            assert metrics.settle_time_s == metrics.final_error == 0.0
+            first = run.errors[100 * (number - 1) : 100 * number]
+            assert np.all(first[:, :2] == 0.0) and np.isnan(first[:, 2]).all()
 
 
 def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
@@ -261,26 +276,9 @@ def hips(message) -> None:
         ([], "is empty: it has no topic at all"),
     ],
 )
-def test_bag_of_another_robot_is_refused(tmp_path, entries, reason) -> None:
+def test_bag_of_another_robot_is_refused(read, entries, reason) -> None:
     with pytest.raises(BagError, match=reason):
-        read_run(write_own(tmp_path / "bag", entries))
-
-
-def test_plans_and_solves_without_simulated_time_are_dated_by_their_log_times(tmp_path) -> None:
-    def shift(message) -> None:
-        for pair in message.values:
-            if pair.key == "time_s":
-                pair.value = str(float(pair.value) + 70.0)
-
-    entries = [
-        changed(entry, stamp=0) if entry[0] == "/rotor_trajectory" else
-        changed(entry, edit=shift) if entry[0] == "/controller/status" else entry
-        for entry in run_messages()
-    ]
-    run = read_run(write_rosbag2(tmp_path / "bag", on_the_system_clock(entries)))
-    starts = [plan.start for plan in run.plans]
-    assert starts == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
-    assert run.solves.times == pytest.approx(0.5 * np.arange(7), abs=POSE_PERIOD)
+        read(entries)
 
 
 @pytest.mark.parametrize(
@@ -293,16 +291,15 @@ def test_plans_and_solves_without_simulated_time_are_dated_by_their_log_times(tm
         ([(0.0, 0.5), (0.0, 1.5), (0.0, 2.5)], [0.0], []),
     ],
 )
-def test_goals_that_were_not_in_force_are_ignored(tmp_path, goals, kept, notes) -> None:
+def test_goals_that_were_not_in_force_are_ignored(read, goals, kept, notes) -> None:
     given = [goal_at(x, time) for x, time in goals]
-    entries = in_order(*given, *without(run_messages(), "active_goal"))
-    run = read_run(write_own(tmp_path / "bag", entries))
+    run = read(in_order(*given, *without(run_messages(), "active_goal")))
     assert [goal.pose[0] for goal in run.goals] == pytest.approx(kept)
     assert run.goal_times[0] == pytest.approx(goals[0][1], abs=1e-9)
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
 
 
-def test_floor_is_in_force_from_its_time_until_it_is_free(tmp_path) -> None:
+def test_floor_is_in_force_from_its_time_until_it_is_free(read) -> None:
     entries = [*walled_messages(0.1)]
 
     def another(seconds: int, **info) -> Entry:
@@ -312,7 +309,7 @@ def test_floor_is_in_force_from_its_time_until_it_is_free(tmp_path) -> None:
     free, fine = another(4, width=0, height=0), another(3, resolution=1e-30)
     invalid = [fine, *(another(3, resolution=it) for it in (1e30, 0.0, np.nan, -0.1)),
                another(3, width=2**31), another(3, width=39), another(3, height=0)]
-    run = read_run(write_own(tmp_path / "bag", in_order(*entries, *invalid, free)))
+    run = read(in_order(*entries, *invalid, free))
     assert (
         "/controller/floor: 8 invalid floors were ignored; map: given 'a resolution of 1e-30 m', "
         "expected a positive number, 0.0001 or more"
@@ -328,10 +325,10 @@ def test_floor_is_in_force_from_its_time_until_it_is_free(tmp_path) -> None:
     assert np.isnan(run.clearances[run.times >= 3.0]).all()
 
 
-def test_floor_of_a_goal_is_the_one_that_was_in_force_then(tmp_path) -> None:
+def test_floor_of_a_goal_is_the_one_that_was_in_force_then(read) -> None:
     goals = [changed(goal_at(x, 0.0), stamp=log, log=log)
              for x, log in ((1.0, 2 * 10**9), (2.0, 4 * 10**9))]
-    run = read_run(write_own(tmp_path / "bag", in_order(*walled_messages(0.1), *goals)))
+    run = read(in_order(*walled_messages(0.1), *goals))
     second = run.to_goal(2)
     assert second.floors.at(0.0) is run.floors.at(0.0) is not None
     assert np.nanmin(second.clearances) == pytest.approx(0.1, abs=1e-6)

@@ -1,21 +1,40 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recording sessions: log times, latched messages, consecutive bags and failures, without ROS."""
+"""Bags as they are written: at any moment readable, in sessions, and on a disk that is full."""
 
+import contextlib
 import resource
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
 
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros.cdr import clock_message
+from sphere_sim.recording.bag_files import BagError
+from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.session import RecordingSession
 
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 FLAG, FLAG_TYPE = "/flag", "std_msgs/msg/Bool"
 TRUE = b"\x00\x01\x00\x00\x01"
 S = 1_000_000_000
+
+
+@contextlib.contextmanager
+def full_disk(size: int) -> Iterator[None]:
+    """Let no file grow beyond a size [bytes]."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 class Recorded:
@@ -94,14 +113,10 @@ def test_full_disk_ends_the_recording_with_one_line_and_a_readable_bag(bag) -> N
     recorded.session.write([(1, FLAG, TRUE)])
     recorded.session.commit()
     size = next(bag.glob("*.mcap")).stat().st_size
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 300, before[1]))
-    try:
+    with full_disk(size + 300):
         recorded.session.write([(i * i * 7919, FLAG, TRUE) for i in range(2, 5000)])
         recorded.session.commit()
         recorded.session.commit()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert len(recorded.failures) == 1
     assert recorded.failures[0].startswith("recording stopped, bag ")
     assert recorded.session.folder is None and stamps(bag) == [1]
@@ -123,3 +138,40 @@ def test_metadata_that_cannot_be_written_leaves_the_messages_that_it_counts(bag,
     assert len(recorded.failures) == 1 and "cannot be written" in recorded.failures[0]
     with Reader(bag) as reader:
         assert reader.message_count == len(stamps(bag)) == 1
+
+
+def counts(folder: Path) -> tuple[int, int]:
+    """Return the numbers of messages that two independent readers decode, with checksums."""
+    with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        of_rosbags = sum(
+            reader.deserialize(raw, connection.msgtype).data
+            for connection, _, raw in reader.messages()
+        )
+    with next(folder.glob("*.mcap")).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        of_mcap = sum(message.data for *_, message in reader.iter_decoded_messages())
+    return of_rosbags, of_mcap
+
+
+def test_bag_is_complete_after_every_commit_and_grows_linearly(tmp_path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(FLAG, FLAG_TYPE)
+    for i in range(1, 101):
+        writer.write(FLAG, i, TRUE)
+        writer.commit()
+        if i in (1, 2, 100):
+            assert counts(tmp_path / "bag") == (i, i)
+    # Index and footer are rewritten each time: appended copies would add up quadratically.
+    assert next((tmp_path / "bag").glob("*.mcap")).stat().st_size < 100 * 400
+    writer.close()
+
+
+def test_folder_that_cannot_be_used_is_refused_and_none_is_left_on_a_full_disk(tmp_path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BagError, match="cannot be created: Not a directory"):
+        BagWriter(tmp_path / "file" / "bag")
+    with pytest.raises(BagError, match="exists already and is not overwritten"):
+        BagWriter(tmp_path)
+    with full_disk(300), pytest.raises(BagError, match="cannot be written: File too large"):
+        BagWriter(tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()

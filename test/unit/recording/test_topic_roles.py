@@ -19,7 +19,6 @@ from recorded_bags import (
     run_messages,
     status,
     write_own,
-    write_rosbag2,
 )
 
 from sphere_sim.recording.bag_files import BagError
@@ -70,20 +69,11 @@ MOVING = np.hstack((np.linspace(0.0, 1.0, 150)[:, None], np.zeros((150, 1)),
         {"pose": CAPTURED, "joint_states": "/dynamixel/state", "rotor_trajectory": "/drives/cmd"},
     ],
 )
-def test_remapped_topics_of_a_run_are_found(tmp_path, names) -> None:
-    expected = read_run(write_own(tmp_path / "own", run_messages()))
-    run = read_run(write_own(tmp_path / "bag", renamed(run_messages(), **names)))
-    assert run.metrics() == expected.metrics() and len(run.plans) == len(expected.plans)
+def test_remapped_topics_of_a_run_are_found(read, whole, names) -> None:
+    run = read(renamed(run_messages(), **names))
+    assert run.metrics() == whole.metrics() and len(run.plans) == len(whole.plans)
     assert list(run.notes) == [f"/{name} is missing; that of this robot is {topic}"
                                for name, topic in names.items()]
-
-
-def test_names_without_a_leading_slash_are_the_same(tmp_path) -> None:
-    entries = [(entry[0].lstrip("/"), *entry[1:]) for entry in run_messages()]
-    run = read_run(write_rosbag2(tmp_path / "bag", entries))
-    assert run.metrics() == read_run(write_own(tmp_path / "own", run_messages())).metrics()
-    assert run.notes == () and len(run.plans) == 7
-    assert len(read_run(tmp_path / "bag", "/", pose_topic="pose").times) == 301
 
 
 @pytest.mark.parametrize(
@@ -92,66 +82,76 @@ def test_names_without_a_leading_slash_are_the_same(tmp_path) -> None:
      stream("/camera/pose", MOVING, "camera"), stream("/clicked", MOVING[:5])],
     ids=["standing", "moving goal", "another frame", "a few poses"],
 )
-def test_poses_are_those_of_a_sphere_that_rolls(tmp_path, others) -> None:
-    bag = write_own(tmp_path / "bag", in_order(*rolling(CAPTURED), *others))
-    run = read_run(bag)
+def test_poses_are_those_of_a_sphere_that_rolls(read, others) -> None:
+    run = read(in_order(*rolling(CAPTURED), *others))
     assert run.states[-1, 0] == pytest.approx(0.8) and len(run.times) == 201
     assert run.notes[0] == f"/pose is missing; that of this robot is {CAPTURED}"
 
 
-def test_several_topics_that_roll_are_told_and_one_is_chosen(tmp_path) -> None:
-    second = renamed(rolling_messages(2.0), pose="/vrpn_mocap/filtered")
-    bag = write_own(tmp_path / "bag", in_order(*rolling(CAPTURED), *second))
-    with pytest.raises(BagError, match=(
-        rf"in namespace /, choose one with --pose-topic: {CAPTURED}, /vrpn_mocap/filtered$"
-    )):
-        read_run(bag)
-    assert len(read_run(bag, pose_topic=CAPTURED).times) == 201
-    assert len(read_run(bag, pose_topic="vrpn_mocap/filtered").times) == 101
-    with pytest.raises(BagError, match=rf"/odd: expected .*PoseStamped.*one of {CAPTURED}"):
-        read_run(bag, pose_topic="/odd")
-
-
-def test_topic_that_the_run_states_has_the_poses(tmp_path) -> None:
+def test_topic_that_the_run_states_has_the_poses(tmp_path, read) -> None:
     entries = in_order(*rolling(CAPTURED), *stream("/pose", MOVING))
-    assert len(read_run(write_own(tmp_path / "named", entries)).times) == 150
-    custom = {"topics:/": json.dumps({"pose": CAPTURED})}
-    assert len(read_run(write_rosbag2(tmp_path / "a", entries, custom=custom)).times) == 201
+    assert len(read(entries).times) == 150
     says = status(time_s=1.0, pose_topic=CAPTURED)
     said = ("/controller/status", "diagnostic_msgs/msg/DiagnosticStatus", S, says)
-    run = read_run(write_rosbag2(tmp_path / "b", in_order(said, *entries)))
+    run = read(in_order(said, *entries))
     assert len(run.times) == 201 and not any("missing; that" in note for note in run.notes)
     # What is damaged, or names a topic that the bag does not have, is no statement.
-    for i, text in enumerate(("[3]", "{", '{"pose": 3}', '{"pose": "/elsewhere"}')):
-        bag = write_rosbag2(tmp_path / f"c{i}", entries, custom={"topics:/": text})
-        assert len(read_run(bag).times) == 150
+    stated = {json.dumps({"pose": CAPTURED}): 201}
+    stated |= dict.fromkeys(("[3]", "{", '{"pose": 3}', '{"pose": "/elsewhere"}'), 150)
+    for i, (text, count) in enumerate(stated.items()):
+        bag = write_own(tmp_path / f"stated_{i}", entries, {"topics:/": text})
+        assert len(read_run(bag).times) == count
 
 
-def test_poses_alone_need_their_name(tmp_path) -> None:
-    bag = write_own(tmp_path / "bag", renamed(rolling_messages(), pose="/optitrack/ball"))
-    with pytest.raises(BagError, match=r"no topic 'pose'.*--pose-topic takes one of /optitrack"):
-        read_run(bag)
-    assert len(read_run(bag, pose_topic="/optitrack/ball").times) == 201
+LEFT = [it for it in run_messages("/left") if not it[0].endswith("/pose")]
+KIND = "diagnostic_msgs/msg/DiagnosticStatus"
 
 
-def test_poses_of_another_robot_are_not_taken(tmp_path) -> None:
-    left = [it for it in run_messages("/left") if not it[0].endswith("/pose")]
-    bag = write_own(tmp_path / "bag", in_order(*left, *run_messages("/right")))
-    with pytest.raises(BagError, match=r"several robots.*/left, /right"):
-        read_run(bag)
-    assert len(read_run(bag, "right").times) == 301
-    assert read_run(bag, pose_topic="/right/pose").notes == ()
-    with pytest.raises(BagError, match=r"no topic 'pose' of type .* in namespace /left"):
-        read_run(bag, "left")
-    with pytest.raises(BagError, match="no robot in namespace 'up'"):
-        read_run(bag, "up")
-
-
-def test_messages_of_another_type_on_the_topic_are_ignored(tmp_path) -> None:
-    kind = "diagnostic_msgs/msg/DiagnosticStatus"
-    other = [("pose", kind, 6 * S, status(time_s=1.0)), ("pose/", kind, 4 * S, status())]
-    run = read_run(write_rosbag2(tmp_path / "bag", in_order(*run_messages(), *other)))
-    assert len(run.times) == 301 and run.notes == ()
-    bag = write_own(tmp_path / "other", other[:1])
-    with pytest.raises(BagError, match=r"no topic 'pose' .*; has: /pose \(DiagnosticStatus\)"):
-        read_run(bag)
+@pytest.mark.parametrize(
+    ("entries", "choices", "refused"),
+    [
+        (
+            in_order(*rolling(CAPTURED), *renamed(rolling_messages(2.0), pose="/vrpn_mocap/raw")),
+            [(None, CAPTURED, 201), (None, "vrpn_mocap/raw", 101)],
+            [(None, None, f"in namespace /, choose one with --pose-topic: {CAPTURED}, /vrpn_mocap"
+              "/raw$"),
+             (None, "/odd", f"/odd: expected .*PoseStamped.*one of {CAPTURED}")],
+        ),
+        (
+            renamed(rolling_messages(), pose="/optitrack/ball"), [(None, "/optitrack/ball", 201)],
+            [(None, None, "no topic 'pose'.*--pose-topic takes one of /optitrack")],
+        ),
+        # Without a leading slash names are the same.
+        (
+            [(entry[0].lstrip("/"), *entry[1:]) for entry in run_messages()],
+            [(None, None, 301), ("/", "pose", 301)], [],
+        ),
+        (
+            in_order(*LEFT, *run_messages("/right")),
+            [("right", None, 301), (None, "/right/pose", 301)],
+            [(None, None, "several robots.*/left, /right"),
+             ("left", None, "no topic 'pose' of type .* in namespace /left"),
+             ("up", None, "no robot in namespace 'up'")],
+        ),
+        (
+            [("pose", KIND, 6 * S, status(time_s=1.0))], [],
+            [(None, None, r"no topic 'pose' .*; has: /pose \(DiagnosticStatus\)")],
+        ),
+        (
+            in_order(*run_messages(), ("pose", KIND, 6 * S, status(time_s=1.0)),
+                     ("pose/", KIND, 4 * S, status())),
+            [(None, None, 301)], [],
+        ),
+    ],
+    ids=["two that roll", "poses alone", "names", "two robots", "another type",
+         "another type as well"],
+)
+def test_poses_that_the_bag_leaves_open_are_to_be_chosen(
+    tmp_path, entries, choices, refused
+) -> None:
+    bag = write_own(tmp_path / "bag", entries)
+    for namespace, pose_topic, count in choices:
+        assert len(read_run(bag, namespace, pose_topic=pose_topic).times) == count
+    for namespace, pose_topic, told in refused:
+        with pytest.raises(BagError, match=told):
+            read_run(bag, namespace, pose_topic=pose_topic)

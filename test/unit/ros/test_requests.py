@@ -16,15 +16,9 @@ from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
-from sphere_nmpc.ros.navigator.requests import (
-    action_types,
-    feedback_of,
-    result_of,
-    stages_of,
-)
+from sphere_nmpc.ros.navigator.requests import action_types, feedback_of, result_of, stages_of
 
 POSES = [[1.0, 2.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
-VALUES = {"goal_stamp": "7.000000001", "goal_index": "1", "mode": "at the goal"}
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +49,6 @@ def test_poses_of_each_kind_of_goal_are_sent_in_the_frame_of_the_world(frame) ->
         (goals,) = stages_of(request, "map")
         assert [pose.header.frame_id for pose in goals.goals] == ["map"]
         assert pose_from_ros(goals.goals[0]).tolist() == POSES[0]
-
-
-def test_frame_of_a_list_is_that_of_poses_without_one() -> None:
     with pytest.raises(InvalidValueError, match=r"frame: given '?odom'?, expected 'map'"):
         stages_of(requests(common="odom")[2], "map")
 
@@ -71,6 +62,7 @@ def test_frame_of_a_list_is_that_of_poses_without_one() -> None:
         (lambda request, pose: setattr(pose.pose.orientation, "w", 0.5), "norm"),
         (lambda request, pose: setattr(pose.header, "frame_id", "odom"), "frame: given"),
     ],
+    ids=["tree", "place", "turn", "frame"],
 )
 def test_goal_that_cannot_be_followed_is_refused(number, change, told) -> None:
     request = requests("world")[number]
@@ -78,12 +70,6 @@ def test_goal_that_cannot_be_followed_is_refused(number, change, told) -> None:
     change(request, pose)
     with pytest.raises(InvalidValueError, match=told):
         stages_of(request, "world")
-
-
-def test_empty_list_is_refused() -> None:
-    for empty in ([], Goals()):
-        with pytest.raises(InvalidInputError, match="poses: given \\[\\], expected one pose"):
-            stages_of(SimpleNamespace(poses=empty, behavior_tree=""), "world")
 
 
 def test_waypoints_are_sent_one_after_the_other() -> None:
@@ -94,9 +80,12 @@ def test_waypoints_are_sent_one_after_the_other() -> None:
     request.goal_index = 2
     with pytest.raises(InvalidInputError, match="goal_index: given 2, expected 0 to 1"):
         stages_of(request, "world")
+    for empty in ([], Goals()):
+        with pytest.raises(InvalidInputError, match=r"poses: given \[\], expected one pose"):
+            stages_of(SimpleNamespace(poses=empty, behavior_tree=""), "world")
 
 
-def test_feedback_has_what_is_left_of_all(kinds) -> None:
+def test_feedback_has_what_is_left_of_all_as_far_as_it_is_known(kinds) -> None:
     report = GoalReport("", 2, 3, total_time_left=1.25, total_distance_left=2.5)
     kind = kinds["navigate_through_poses"]
     feedback = feedback_of(kind, report, 3.5, 0, stamped(POSES[1]))
@@ -108,11 +97,7 @@ def test_feedback_has_what_is_left_of_all(kinds) -> None:
     assert (left.sec, left.nanosec) == (1, 250_000_000)
     assert pose_from_ros(feedback.current_pose).tolist() == POSES[1]
     assert feedback_of(kinds["follow_waypoints"], report, 0.0, 4, None).current_waypoint == 4
-
-
-def test_what_is_not_known_is_not_told_to_be_nothing(kinds) -> None:
-    kind = kinds["navigate_to_pose"]
-    feedback = feedback_of(kind, GoalReport(), -1.0, 0, stamped(POSES[1]))
+    feedback = feedback_of(kinds["navigate_to_pose"], GoalReport(), -1.0, 0, stamped(POSES[1]))
     assert math.isnan(feedback.distance_remaining)
     assert feedback.estimated_time_remaining.sec == 2**31 - 1
     assert feedback.navigation_time.sec == 0

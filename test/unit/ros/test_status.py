@@ -4,6 +4,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,17 +26,23 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.controller.status import ControllerStatus, momentum_values
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 ROBOT = RobotParameters()
 CONSTANTS = ["learnt_shell_radius_m", "learnt_c1", "learnt_r1", "learnt_r3"]
+FLOOR = Floor(Grid(np.zeros((40, 40), dtype=bool), 0.1), 0.3, 0.02)
 
 
-def status_values(floor: Floor | None = None, **settings: Any) -> dict[str, Any]:
+def status_values(
+    floor: Floor | None = None, plan: Mapping[str, float] = {}, **settings: Any
+) -> dict[str, Any]:
+    """Return the values at 2 s with a plan that is changed."""
     chosen = ControllerSettings(**settings)
     controller = Controller(chosen, ROBOT)
     controller.floor = floor
-    status = ControllerStatus(controller, ROBOT, chosen)
-    return status.values(controller.decide(0.0), 0.0, 0.0, 0)
+    decided = controller.decide(2.0)
+    conditions = Kind.TRACKING.alone if plan else decided.conditions
+    decision = replace(decided, conditions=conditions, plan=replace(decided.plan, **plan))
+    return ControllerStatus(controller, ROBOT, chosen).values(decision, 2.0, 0.0, 0)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
@@ -49,16 +56,21 @@ def test_learnt_constants_have_deviations(noise) -> None:
     assert fixed["learnt_lag_s"] == 0.0123
 
 
-def test_clearance_of_the_plan_is_told_where_there_is_a_floor() -> None:
-    assert "clearance_m" not in status_values()
-    floor = Floor(Grid(np.zeros((40, 40), dtype=bool), 0.1), 0.3, 0.02)
-    assert math.isnan(status_values(floor)["clearance_m"]), "nothing is planned"
-    settings = ControllerSettings()
-    controller = Controller(settings, ROBOT)
-    controller.floor, decided = floor, controller.decide(0.0)
-    decision = replace(decided, plan=replace(decided.plan, clearance=0.125))
-    values = ControllerStatus(controller, ROBOT, settings).values(decision, 0.0, 0.0, 0)
-    assert values["clearance_m"] == 0.125
+@pytest.mark.parametrize(
+    ("floor", "plan", "name", "told"),
+    [
+        (None, {}, "clearance_m", None),
+        (FLOOR, {}, "clearance_m", math.nan),
+        (FLOOR, {"clearance": 0.125}, "clearance_m", 0.125),
+        (None, {"arrival": 3.5}, "time_left_s", 1.5),
+        (None, {"arrival": 1.5}, "time_left_s", 0.0),
+        (None, {"arrival": math.nan}, "time_left_s", math.nan),
+    ],
+)
+def test_clearance_is_told_on_a_floor_and_time_left_until_an_arrival(
+    floor, plan, name, told
+) -> None:
+    assert status_values(floor, plan).get(name) == pytest.approx(told, nan_ok=True)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -66,22 +78,10 @@ def test_every_value_is_documented(strategy) -> None:
     table = (ROOT / "msg_docs" / "topics.md").read_text().split("### Status")[1].split("\n### ")[0]
     cells = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
     documented = {key for cell in cells for key in re.findall(r"`(\w+)`", cell)}
-    values = status_values(Floor(Grid(np.zeros((9, 9), dtype=bool), 1.0), 0.3, 0.0),
-                           strategy=strategy)
+    values = status_values(FLOOR, strategy=strategy)
     # The deviations are described with what they belong to.
     assert {key.removesuffix("_deviation") for key in values} <= documented
     assert values["giving_up"] == "" and values["momentum_x"] == 0.0
-
-
-@pytest.mark.parametrize(("arrival", "left"), [(3.5, 1.5), (1.5, 0.0), (math.nan, math.nan)])
-def test_time_left_is_known_where_the_plan_has_an_arrival(arrival, left) -> None:
-    settings = ControllerSettings()
-    controller = Controller(settings, ROBOT)
-    decided = controller.decide(2.0)
-    plan = replace(decided.plan, arrival=arrival)
-    decision = replace(decided, conditions=Kind.TRACKING.alone, plan=plan)
-    values = ControllerStatus(controller, ROBOT, settings).values(decision, 2.0, 0.0, 0)
-    assert values["time_left_s"] == pytest.approx(left, nan_ok=True)
 
 
 @pytest.mark.parametrize("direction", [0.0, -2.0])

@@ -1,10 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-from collections.abc import Callable
+"""Problems of the solvers, drawn at random."""
+
 from typing import Any
 
 import numpy as np
-import pytest
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
@@ -47,35 +47,28 @@ KINDS: dict[str, dict[str, Any]] = {
     },
     "minimum time": {"intervals": 9, "max_acceleration": 400.0, "error_weight": 100.0},
 }
-"""Problems of least squares, but for the last one."""
+LEAST_SQUARES = list(KINDS)[:-1]
+"""All kinds but the last one."""
 
 
-@pytest.fixture
-def make_problem() -> Callable[..., Problem]:
-    def make(
-        kind: str = "paper", seed: int = 0, unequal: bool = True, **changes: Any
-    ) -> Problem:
-        rng = np.random.default_rng(seed)
-        settings = {**KINDS[kind], **changes}
-        n, momentum = settings.pop("intervals"), settings.pop("momentum", np.zeros(3))
-        turn = rng.normal(size=(2, 4))
-        turn /= np.linalg.norm(turn, axis=1)[:, None]
-        defaults: dict[str, Any] = {
-            "state": np.concatenate((as_state([*rng.uniform(-1.0, 1.0, 2), *turn[0]]), momentum)),
-            "goal": as_state([0.0, 0.0, *turn[1]]),
-            "input_in_force": rng.uniform(-50.0, 50.0, 2),
-            "durations": rng.uniform(0.05, 0.5, n) if unequal else np.full(n, 0.5),
-            "constants": RobotParameters().lumped.as_array(),
-            "lower": np.full((n, 2), -U_MAX),
-            "upper": np.full((n, 2), U_MAX),
-            "input_scale": U_MAX,
-        }
-        record = MinimumTimeProblem if "error_weight" in settings else LeastSquaresProblem
-        return record(**{**defaults, **settings})
-
-    return make
-
-
-@pytest.fixture(params=list(KINDS)[:-1])
-def kind(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
+def make_problem(
+    kind: str = "paper", seed: int = 0, unequal: bool = True, **changes: Any
+) -> Problem:
+    """Return a problem of a kind, with intervals of unequal length or of half a second."""
+    rng = np.random.default_rng(seed)
+    settings = {**KINDS[kind], **changes}
+    n, momentum = settings.pop("intervals"), settings.pop("momentum", np.zeros(3))
+    turn = rng.normal(size=(2, 4))
+    turn /= np.linalg.norm(turn, axis=1)[:, None]
+    defaults: dict[str, Any] = {
+        "state": np.concatenate((as_state([*rng.uniform(-1.0, 1.0, 2), *turn[0]]), momentum)),
+        "goal": as_state([0.0, 0.0, *turn[1]]),
+        "input_in_force": rng.uniform(-50.0, 50.0, 2),
+        "durations": rng.uniform(0.05, 0.5, n) if unequal else np.full(n, 0.5),
+        "constants": RobotParameters().lumped.as_array(),
+        "lower": np.full((n, 2), -U_MAX),
+        "upper": np.full((n, 2), U_MAX),
+        "input_scale": U_MAX,
+    }
+    record = MinimumTimeProblem if "error_weight" in settings else LeastSquaresProblem
+    return record(**{**defaults, **settings})

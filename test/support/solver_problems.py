@@ -17,7 +17,7 @@ MOMENTUM = np.array([30.0, -20.0, 15.0])
 TORQUES = np.array([20.0, -5.0, 3.0, 4.0, -8.0])
 """A slope of about 1 degree, and the centre of mass 2 mm off."""
 
-KINDS: dict[str, dict[str, Any]] = {
+LEAST_SQUARES: dict[str, dict[str, Any]] = {
     "paper": {"intervals": 4, "stage_weight": 1e-8, "input_weight": 5e-5},
     "terminal": {"intervals": 5, "input_weight": 1e-6},
     "one interval": {"intervals": 1, "input_weight": 1e-6},
@@ -45,19 +45,45 @@ KINDS: dict[str, dict[str, Any]] = {
         "turn_weights": np.array([0.5, 0.3, 0.0]), "goal_velocity": np.array([0.3, -0.1]),
         "position_scale": 0.4,
     },
-    "minimum time": {"intervals": 9, "max_acceleration": 400.0, "error_weight": 100.0},
 }
-LEAST_SQUARES = list(KINDS)[:-1]
-"""All kinds but the last one."""
+"""Problems of least squares."""
+
+DISTURBED: dict[str, Any] = {
+    "momentum": np.array([25.0, -40.0, 3.0]), "torques": np.array([8.0, -5.0, 3.0, 4.0, -2.0]),
+    "momentum_row": np.array([0.01, -0.02, 0.015]), "position_scale": 2.5,
+}
+MOVING: dict[str, Any] = {
+    "turn_weights": np.array([1.0, 1.0, 0.0]), "goal_velocity": np.array([0.3, -0.1]),
+}
+TO_REST: dict[str, Any] = {"fixed": {-1: (0.0, 0.0)}}
+MINIMUM_TIME: dict[str, dict[str, Any]] = {
+    kind: {"intervals": 9, "max_acceleration": 400.0, "error_weight": 100.0, **changes}
+    for kind, changes in {
+        "minimum time": TO_REST,
+        "disturbed": DISTURBED,
+        "whole turns": {
+            "durations": np.array([0.3, 0.2, 0.25, 0.25, 15.0, 0.2, 0.3, 0.25, 0.1]),
+            "steady_interval": 4, "steady_axis": np.array([0.6, -0.8]), "whole_turns": 13.7,
+            "fixed": {3: (100.0, -100.0), 4: (100.0, -100.0), -1: (0.0, 0.0)},
+        },
+        "moving in minimum time": {**MOVING, **TO_REST},
+        "moving, disturbed": {**DISTURBED, **MOVING},
+    }.items()
+}
+KINDS = LEAST_SQUARES | MINIMUM_TIME
 
 
 def make_problem(
     kind: str = "paper", seed: int = 0, unequal: bool = True, **changes: Any
 ) -> Problem:
-    """Return a problem of a kind, with intervals of unequal length or of half a second."""
+    """Return a problem of a kind, with intervals of unequal length or of half a second.
+
+    Knots that are `fixed`, by their indices, have their speeds [rad/s] as both bounds.
+    """
     rng = np.random.default_rng(seed)
     settings = {**KINDS[kind], **changes}
     n, momentum = settings.pop("intervals"), settings.pop("momentum", np.zeros(3))
+    fixed = settings.pop("fixed", {})
     turn = rng.normal(size=(2, 4))
     turn /= np.linalg.norm(turn, axis=1)[:, None]
     defaults: dict[str, Any] = {
@@ -71,4 +97,7 @@ def make_problem(
         "input_scale": U_MAX,
     }
     record = MinimumTimeProblem if "error_weight" in settings else LeastSquaresProblem
-    return record(**{**defaults, **settings})
+    problem = record(**{**defaults, **settings})
+    for knot, speeds in fixed.items():
+        problem.lower[knot] = problem.upper[knot] = speeds
+    return problem

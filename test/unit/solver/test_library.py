@@ -10,6 +10,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from compiled_solver import compiled
+from solver_problems import make_problem
 
 from sphere_nmpc.solver.native import layout, library
 from sphere_nmpc.solver.native.layout import MEMBERS
@@ -17,22 +18,17 @@ from sphere_nmpc.solver.problem import SolverSettings
 
 SOLVE = """
 import numpy as np
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.solver.problem import LeastSquaresProblem, SolverSettings
+from solver_problems import make_problem
+from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.solve import solve
-problem = LeastSquaresProblem(
-    state=np.array([0.3, -0.2, 1.0, 0, 0, 0, 0, 0, 0]), goal=np.array([0, 0, 1.0, 0, 0, 0]),
-    input_in_force=np.zeros(2), durations=np.full(4, 0.5),
-    constants=RobotParameters().lumped.as_array(), lower=np.full((4, 2), -100.0),
-    upper=np.full((4, 2), 100.0), input_scale=100.0, input_weight=5e-5,
-)
 for _ in range(2):
-    solution = solve(problem, np.zeros((4, 2)), SolverSettings())
+    solution = solve(make_problem("terminal"), np.zeros((5, 2)), SolverSettings())
 print(f"{solution.cost:.9e}")
 """
 
 
 def solve(**environment):
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
     done = subprocess.run(
         [sys.executable, "-c", SOLVE], env={**os.environ, **environment}, capture_output=True,
         text=True, check=True,
@@ -57,7 +53,7 @@ def test_library_that_is_missing_or_of_another_layout_is_not_used(monkeypatch, t
 
 
 @pytest.mark.parametrize("kind", ["stages and acceleration", "minimum time"])
-def test_slot_writes_each_value_to_its_own_place(make_problem, kind):
+def test_slot_writes_each_value_to_its_own_place(kind):
     problem = make_problem(kind, max_step=0.07)
     rng = np.random.default_rng(0)
     start, settings = rng.normal(size=(problem.intervals, 2)), SolverSettings(7, 0.1, 0.2, 0.3)

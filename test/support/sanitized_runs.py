@@ -4,7 +4,7 @@
 
     sanitized_runs.py FOLDER
 
-Run by ``test_sanitizers.py`` with the folder of a solver that `write_sources` prepared.
+Run by ``test_library.py`` with the folder of a solver that `write_sources` prepared.
 """
 
 import sys

@@ -15,40 +15,13 @@ from sphere_nmpc.floor.map_file import MapValues, read_map
 from sphere_nmpc.floor.occupancy import InvalidMapError
 
 GREYS = [[0, 90, 205], [254, 165, 255]]
+VALUES = [[0, -1, 0], [100, -1, -1]]
+"""Of the lower row first; shares are 1, 0.6471 and 0.1961, and 0.0039, 0.3529 and 0."""
 ENTRIES = {
     "image": "hall.png", "resolution": "0.05", "origin": "[-1.0, 2.0, 0.5]", "negate": "0",
     "occupied_thresh": "0.65", "free_thresh": "0.196",
 }
 DOCUMENT = Path(__file__).parents[3] / "docs" / "floor.md"
-
-
-def by_rules(
-    greys: object, mode: str = "trinary", negate: bool = False, occupied: float = 0.65,
-    free: float = 0.196, transparent: tuple[tuple[int, int], ...] = (),
-) -> list[list[int]]:
-    """Return the values of an image's cells, one by one, in the single precision of map_server."""
-    single = np.float32
-    rows = []
-    for i, row in enumerate(greys):
-        rows.append([])
-        for j, grey in enumerate(row):
-            share = single(grey) / single(255)
-            share = share if negate else single(1) - share
-            if mode == "raw":
-                value = grey if grey <= 100 else -1
-            elif (i, j) in transparent:
-                value = -1
-            elif share <= single(free):
-                value = 0
-            elif share >= single(occupied):
-                value = 100
-            elif mode == "scale":
-                scaled = (share - single(free)) / single(occupied - free) * single(100)
-                value = int(float(scaled) + 0.5)
-            else:
-                value = -1
-            rows[-1].append(value)
-    return rows[::-1]
 
 
 def png(pixels: object, mode: str = "L", kind: str = "PNG", **options: object) -> bytes:
@@ -81,80 +54,78 @@ def named(rows: Sequence[tuple]) -> list[str]:
 
 
 BLACK_AND_WHITE = [[0, 255, 255], [255, 255, 0]]
+WALLS = [[0, 0, 100], [100, 0, 0]]
 COLOURS = [[(0, 0, 100), (100, 0, 0), (0, 100, 0)], [(1, 2, 2), (3, 3, 4), (10, 20, 30)]]
-LUMA = [[11, 29, 58], [1, 3, 18]]
-"""Of 1000 parts 299 red, 587 green, 114 blue, rounded down: 11.4, 29.9, 58.7, 1.7, 3.1, 18.2."""
+OF_COLOURS = [[1, 3, 18], [11, 29, 58]]
+"""Of 1000 parts 299 red, 587 green, 114 blue, rounded down: 1.7, 3.1, 18.2, 11.4, 29.9, 58.7."""
 PALETTE = [[0, 1, 2], [3, 3, 4]]
-OF_PALETTE = [[0, 90, 205], [254, 254, 1]]
 DEEP = [[0, 128, 256], [257, 385, 100 * 257 + 256]]
-OF_DEEP = [[0, 0, 0], [1, 1, 100]]
+OF_DEEP = [[1, 1, 100], [0, 0, 0]]
 """A 257th part, rounded down."""
 WITH_ALPHA = [[(grey, 255) for grey in row] for row in GREYS]
 WITH_ALPHA[0][0], WITH_ALPHA[1][2] = (0, 254), (255, 0)
-TRANSPARENT = ((0, 0), (1, 2))
 
 SAME: list[tuple[str, dict[str, object], list[list[int]]]] = [
-    ("occupied from", {"occupied_thresh": 1, "free_thresh": 0},
-     by_rules(GREYS, occupied=1.0, free=0.0)),
-    ("occupied from", {"occupied_thresh": 1 - 90 / 255}, by_rules(GREYS, occupied=1 - 90 / 255)),
-    ("free up to", {"free_thresh": 1 - 205 / 255}, by_rules(GREYS, free=1 - 205 / 255)),
-    ("free up to", {"free_thresh": "0.19607842"}, by_rules(GREYS, free=0.19607842)),
+    ("occupied from", {"occupied_thresh": 1, "free_thresh": 0}, [[-1, -1, 0], [100, -1, -1]]),
+    ("occupied from", {"occupied_thresh": 1 - 90 / 255}, [[0, -1, 0], [100, 100, -1]]),
+    ("free up to", {"free_thresh": 1 - 205 / 255}, [[0, -1, 0], [100, -1, 0]]),
+    ("free up to", {"free_thresh": "0.19607842"}, [[0, -1, 0], [100, -1, 0]]),
     ("free before occupied", {"occupied_thresh": "0.647058824", "free_thresh": "0.647058824"},
-     by_rules(GREYS, occupied=0.647058824, free=0.647058824)),
-    ("`mode` is missing", {}, by_rules(GREYS)),
-    *(("upper or lower case", {"mode": mode}, by_rules(GREYS))
+     [[0, 0, 0], [100, 0, 0]]),
+    ("`mode` is missing", {}, VALUES),
+    *(("upper or lower case", {"mode": mode}, VALUES)
       for mode in ("Trinary", "TRINARY", "'trinary'")),
-    ("`scale`", {"mode": "scale"}, by_rules(GREYS, "scale")),
+    ("`scale`", {"mode": "scale"}, [[0, 35, 0], [100, 99, 0]]),
     ("`scale`", {"mode": "Scale", "negate": 1, "occupied_thresh": 1, "free_thresh": 0},
-     by_rules(GREYS, "scale", True, 1.0, 0.0)),
-    ("`raw`", {"mode": "RAW", "negate": 1}, by_rules(GREYS, "raw")),
-    *(("`negate`", {"negate": text}, by_rules(GREYS, negate=True))
+     [[100, 65, 100], [0, 35, 80]]),
+    ("`raw`", {"mode": "RAW", "negate": 1}, [[-1, -1, -1], [0, 90, -1]]),
+    *(("`negate`", {"negate": text}, [[100, -1, 100], [0, -1, 100]])
       for text in ("1", "2", "-1", "010", "'1'", "true", "True", "YES", "on", "y")),
-    *(("`negate`", {"negate": text}, by_rules(GREYS))
+    *(("`negate`", {"negate": text}, VALUES)
       for text in ("0", "00", "false", "no", "Off", "n")),
-    *(("numbers", {"resolution": text}, by_rules(GREYS))
+    *(("numbers", {"resolution": text}, VALUES)
       for text in ("5e-2", "'0.05'", ".5E-1", "+0.05", "5.e-2", "!!str 0.05")),
-    ("numbers", {"origin": "['-1', 2., 5e-1]"}, by_rules(GREYS)),
-    ("unknown entries", {"kind": "hall", "sizes": "[1, 2]"}, by_rules(GREYS)),
-    ("two entries of one name", {"text": lambda lines: lines + "resolution: 7\n"},
-     by_rules(GREYS)),
-    ("byte order mark", {"text": lambda lines: "\ufeff" + lines}, by_rules(GREYS)),
-    ("CRLF", {"text": lambda lines: lines.replace("\n", "\r\n")}, by_rules(GREYS)),
-    ("several documents", {"text": lambda lines: lines + "---\n- other\n"}, by_rules(GREYS)),
-    ("JSON", {"text": lambda lines: "{" + lines.replace("\n", ", ") + "}"}, by_rules(GREYS)),
-    ("transparent", {"image": png(WITH_ALPHA)}, by_rules(GREYS, transparent=TRANSPARENT)),
-    ("transparent", {"image": png(WITH_ALPHA), "mode": "scale"},
-     by_rules(GREYS, "scale", transparent=TRANSPARENT)),
-    ("transparent", {"image": png(WITH_ALPHA), "mode": "raw"}, by_rules(GREYS, "raw")),
+    ("numbers", {"origin": "['-1', 2., 5e-1]"}, VALUES),
+    ("unknown entries", {"kind": "hall", "sizes": "[1, 2]"}, VALUES),
+    ("two entries of one name", {"text": lambda lines: lines + "resolution: 7\n"}, VALUES),
+    ("byte order mark", {"text": lambda lines: "\ufeff" + lines}, VALUES),
+    ("CRLF", {"text": lambda lines: lines.replace("\n", "\r\n")}, VALUES),
+    ("several documents", {"text": lambda lines: lines + "---\n- other\n"}, VALUES),
+    ("JSON", {"text": lambda lines: "{" + lines.replace("\n", ", ") + "}"}, VALUES),
+    ("transparent", {"image": png(WITH_ALPHA)}, [[0, -1, -1], [-1, -1, -1]]),
+    ("transparent", {"image": png(WITH_ALPHA), "mode": "scale"}, [[0, 35, -1], [-1, 99, 0]]),
+    ("transparent", {"image": png(WITH_ALPHA), "mode": "raw"}, [[-1, -1, -1], [0, 90, -1]]),
     ("transparent", {"image": png([[(g, g, g, a) for g, a in row] for row in WITH_ALPHA])},
-     by_rules(GREYS, transparent=TRANSPARENT)),
+     [[0, -1, -1], [-1, -1, -1]]),
     ("transparent", {"image": png(PALETTE, "P", transparency=bytes([254, 255, 255, 255, 255]))},
-     by_rules(OF_PALETTE, transparent=((0, 0),))),
+     [[0, 0, 100], [-1, -1, -1]]),
     ("transparent", {"image": png(BLACK_AND_WHITE, "1", transparency=0)},
-     by_rules(BLACK_AND_WHITE, transparent=((0, 0), (1, 2)))),
-    ("transparent", {"image": png(GREYS, transparency=0)},
-     by_rules(GREYS, transparent=((0, 0),))),
-    ("colours", {"image": png(COLOURS), "mode": "raw"}, by_rules(LUMA, "raw")),
-    ("palette", {"image": png(PALETTE, "P"), "mode": "raw"}, by_rules(OF_PALETTE, "raw")),
-    ("1 bit", {"image": png(BLACK_AND_WHITE, "1")}, by_rules(BLACK_AND_WHITE)),
-    ("16 bits", {"image": png(DEEP, "I;16"), "mode": "raw"}, by_rules(OF_DEEP, "raw")),
+     [[0, 0, -1], [-1, 0, 0]]),
+    ("transparent", {"image": png(GREYS, transparency=0)}, [[0, -1, 0], [-1, -1, -1]]),
+    ("colours", {"image": png(COLOURS), "mode": "raw"}, OF_COLOURS),
+    ("palette", {"image": png(PALETTE, "P"), "mode": "raw"}, [[-1, -1, 1], [0, 90, -1]]),
+    ("1 bit", {"image": png(BLACK_AND_WHITE, "1")}, WALLS),
+    ("16 bits", {"image": png(DEEP, "I;16"), "mode": "raw"}, OF_DEEP),
     ("16 bits", {"image": b"P5 3 2 65535\n" + np.array(DEEP, ">u2").tobytes(), "mode": "raw"},
-     by_rules(OF_DEEP, "raw")),
-    *(("PGM", {"image": image, "mode": "raw"}, by_rules([[0, 1, 49], [50, 99, 100]], "raw"))
+     OF_DEEP),
+    *(("PGM", {"image": image, "mode": "raw"}, [[50, 99, 100], [0, 1, 49]])
       for image in (
           b"P5\n# a\n3 2\n# b\n255\n" + bytes([0, 1, 49, 50, 99, 100]),
           b"P5 3 2 255\n" + bytes([0, 1, 49, 50, 99, 100]) + b"P5 1 1 255\n\x00",
           b"P2\n#a\n3 2 # b\n255\n0 1 49\n# c\n50 99 100\n",
       )),
-    ("PGM", {"image": b"P2 3 2 5\n0 1 2 0 1 2\n", "mode": "raw"},
-     by_rules([[0, 51, 102]] * 2, "raw")),
+    ("PGM", {"image": b"P2 3 2 5\n0 1 2 0 1 2\n", "mode": "raw"}, [[0, 51, -1], [0, 51, -1]]),
     ("PPM and PBM", {"image": b"P6 3 2 255\n" + np.array(COLOURS, np.uint8).tobytes(),
-                     "mode": "raw"}, by_rules(LUMA, "raw")),
+                     "mode": "raw"}, OF_COLOURS),
     ("PPM and PBM", {"image": b"P3 3 2 255\n0 0 100 100 0 0 0 100 0 1 2 2 3 3 4 10 20 30\n",
-                     "mode": "raw"}, by_rules(LUMA, "raw")),
-    ("PPM and PBM", {"image": b"P1 3 2\n1 0 0\n0 0 1\n"}, by_rules(BLACK_AND_WHITE)),
-    ("PPM and PBM", {"image": b"P4 3 2\n\x80\x20"}, by_rules(BLACK_AND_WHITE)),
-    ("file names end", {"image": b"P5 3 2 255\n" + bytes(GREYS[0] + GREYS[1])}, by_rules(GREYS)),
+                     "mode": "raw"}, OF_COLOURS),
+    ("PPM and PBM", {"image": b"P1 3 2\n1 0 0\n0 0 1\n"}, WALLS),
+    ("PPM and PBM", {"image": b"P4 3 2\n\x80\x20"}, WALLS),
+    # Refused by map_server.
+    ("no `negate`", {"negate": None}, VALUES),
+    ("no `negate`", {"occupied_thresh": None}, VALUES),
+    ("no `negate`", {"free_thresh": None}, [[0, -1, 0], [100, -1, 0]]),
+    ("file names end", {"image": b"P5 3 2 255\n" + bytes(GREYS[0] + GREYS[1])}, VALUES),
 ]
 
 
@@ -163,15 +134,6 @@ def test_values_are_those_of_map_server(tmp_path, row, given, expected) -> None:
     found = read(tmp_path, **given)
     assert found.values.dtype == np.int8 and found.values.tolist() == expected
     assert (found.resolution, found.origin) == (0.05, (-1.0, 2.0, 0.5))
-
-
-@pytest.mark.parametrize(
-    ("missing", "expected"),
-    [("negate", by_rules(GREYS)), ("occupied_thresh", by_rules(GREYS)),
-     ("free_thresh", by_rules(GREYS, free=0.25))],
-)
-def test_missing_entry_that_map_server_refuses_has_a_default(tmp_path, missing, expected) -> None:
-    assert read(tmp_path, **{missing: None}).values.tolist() == expected
 
 
 REFUSED: list[tuple[str, dict[str, object], str]] = [
@@ -253,7 +215,7 @@ def test_image_is_found_beside_the_file_or_by_an_absolute_path_whatever_it_ends_
     for name in ("HALL.PGM", "hall", "hall.txt", "17"):
         (tmp_path / name).write_bytes(png(GREYS))
         for image in (f"../{name}", str(tmp_path / name)):
-            assert read(tmp_path / "maps", image=image).values.tolist() == by_rules(GREYS)
+            assert read(tmp_path / "maps", image=image).values.tolist() == VALUES
     monkeypatch.setenv("HOME", str(tmp_path))
     with pytest.raises(InvalidMapError, match=r"image .*/maps/~/hall"):
         read(tmp_path / "maps", image="~/hall")

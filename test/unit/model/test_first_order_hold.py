@@ -146,16 +146,15 @@ def test_sphere_stops_on_its_path_within_half_a_second() -> None:
     assert max(durations) < 0.5
 
 
-def test_steady_rolling_stops_as_fast_as_a_ramp() -> None:
-    hold = FirstOrderHold(np.array([2.0, 9.0, 9.5]), np.array([[60.0, -30.0]] * 2 + [[0.0, 0.0]]))
-    stop = hold.stop(2.0, MAX_ACCELERATION)
-    assert stop.end - 2.0 == pytest.approx(60.0 / MAX_ACCELERATION, abs=1e-6)
-
-
-@pytest.mark.parametrize("knots", [1, 2])
-def test_sphere_at_rest_stays_there(knots: int) -> None:
-    hold = FirstOrderHold(np.arange(knots, dtype=float), np.zeros((knots, 2)))
-    assert not hold.stop(0.0, MAX_ACCELERATION).speeds.any()
+@pytest.mark.parametrize(
+    ("speeds", "duration"),
+    [([[0, 0]], 0.0), ([[0, 0], [0, 0]], 0.0), ([[60, -30], [60, -30], [0, 0]], 60 / 400.0)],
+    ids=["at rest", "resting on", "steady rolling"],
+)
+def test_stop_takes_no_longer_than_a_ramp(speeds: list[list[float]], duration: float) -> None:
+    hold = FirstOrderHold(7.0 * np.arange(len(speeds)), np.array(speeds, dtype=float))
+    stop = hold.stop(0.0, MAX_ACCELERATION)
+    assert stop.end == pytest.approx(duration, abs=1e-6) and stop.speeds.any() == (duration > 0.0)
 
 
 def test_stop_of_a_stop_takes_no_longer() -> None:

@@ -127,6 +127,7 @@ def settling_time(
         start, goal, name=name, planning_effort=ControllerSettings.planning_effort, robot=robot
     )
     loop.run(duration)
+    loop.check_limits()
     late = [k + 1 for k, error in enumerate([*loop.errors, loop.error]) if not error < 1e-2]
     settled = max(late, default=0)
     return settled * loop.period if settled <= loop.samples else float("inf")

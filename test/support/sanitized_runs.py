@@ -4,7 +4,7 @@
 
     sanitized_runs.py FOLDER
 
-Run by ``test_sanitizers.py`` with the folder of a solver that `write_sources` prepared.
+Run by ``test_library.py`` with the folder of a solver that `write_sources` prepared.
 """
 
 import sys
@@ -15,48 +15,26 @@ from pathlib import Path
 
 import numpy as np
 from compiled_solver import compiled
+from solver_problems import make_problem
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, without_momentum
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native import library
 from sphere_nmpc.solver.native.codegen import kernel_source
 from sphere_nmpc.solver.native.layout import problem_header
-from sphere_nmpc.solver.problem import (
-    LeastSquaresProblem,
-    MinimumTimeProblem,
-    Problem,
-    SolverSettings,
-)
+from sphere_nmpc.solver.problem import MinimumTimeProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 from sphere_nmpc.solver.solve import solve
 
 HORIZONS = (1, 2, 3, 4, 12)
-WEIGHTS: tuple[dict[str, float], ...] = (
-    {"input_weight": 1e-6},
-    {"input_weight": 1e-4, "stage_weight": 0.3},
-    {"input_weight": 1e-8, "max_acceleration": 150.0},
-    {"input_weight": 0.0, "stage_weight": 0.3, "max_acceleration": 150.0},
-    {"error_weight": 20.0, "max_acceleration": 150.0},
-)
-"""Of problems of least squares and, the last ones, of a minimum-time problem."""
+KINDS = {
+    "terminal": {}, "moving and stages": {}, "acceleration": {},
+    "stages and acceleration": {"input_weight": 0.0}, "minimum time": {},
+}
+"""Problems, the last one in minimum time, and what is changed of them."""
 FEW, NONE = SolverSettings(max_iterations=12), SolverSettings(max_iterations=0)
 
 DISTURBANCE = Disturbance(np.array([20.0, -5.0]), np.array([3.0, 4.0, -8.0]))
-
-
-def make_problem(n: int, **changes: float) -> Problem:
-    """Return a problem of N intervals of unequal length."""
-    rng = np.random.default_rng(n)
-    q = rng.normal(size=(2, 4))
-    q /= np.linalg.norm(q, axis=1)[:, None]
-    kind = MinimumTimeProblem if "error_weight" in changes else LeastSquaresProblem
-    return kind(
-        state=without_momentum(np.append(rng.uniform(-1.0, 1.0, 2), q[0])),
-        goal=np.concatenate(([0.0, 0.0], q[1])), input_in_force=rng.uniform(-50.0, 50.0, 2),
-        durations=rng.uniform(0.05, 0.5, n), constants=RobotParameters().lumped.as_array(),
-        lower=np.full((n, 2), -100.0), upper=np.full((n, 2), 100.0), input_scale=100.0, **changes,
-    )
 
 
 def random_start(n: int) -> Vector:
@@ -67,8 +45,10 @@ def random_start(n: int) -> Vector:
 def ordinary_calls(n: int) -> None:
     """Solve and predict over N intervals with every kind of cost, and steady rolling."""
     rolling = {"steady_axis": np.array([0.6, -0.8]), "whole_turns": -4.0}
-    for weights, disturbance in product(WEIGHTS, (UNDISTURBED, DISTURBANCE)):
-        problem = replace(make_problem(n, **weights), torques=disturbance.as_array())
+    for (kind, changes), disturbance in product(KINDS.items(), (UNDISTURBED, DISTURBANCE)):
+        problem = make_problem(
+            kind, n, intervals=n, torques=disturbance.as_array(), fixed={}, **changes
+        )
         solve(problem, random_start(n), FEW)
         if isinstance(problem, MinimumTimeProblem):
             for k in range(1, n):
@@ -83,8 +63,8 @@ def ordinary_calls(n: int) -> None:
 def edge_cases(n: int) -> None:
     """Fixed knots, numbers that are not finite, no time, no iterations, intervals of no length."""
     start = random_start(n)
-    for weights in WEIGHTS:
-        problem = make_problem(n, **weights)
+    for kind, changes in KINDS.items():
+        problem = make_problem(kind, n, intervals=n, fixed={}, **changes)
         part = np.where(np.arange(n)[:, None] == n - 1, 0.0, problem.upper)
         for upper in (np.zeros((n, 2)), part, np.full((n, 2), np.inf)):
             solve(replace(problem, lower=-upper, upper=upper), start, FEW)

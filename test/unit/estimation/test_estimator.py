@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,11 +25,7 @@ NOISY = ControllerSettings(pose_position_noise=1e-4, pose_orientation_noise=2e-4
 BOTH = pytest.mark.parametrize("settings", [EXACT, NOISY], ids=["exact", "noisy"])
 PERIOD, DURATION, LATER = 0.25, 4.0, 6.0
 GAIN, LAG = 1.1, 0.01
-
-
-@pytest.fixture
-def sent() -> SentInputs:
-    return random_ramps(np.random.default_rng(1), LATER + 1.0)
+SENT = random_ramps(np.random.default_rng(1), LATER + 1.0)
 
 
 class Clock:
@@ -40,26 +37,36 @@ class Clock:
         return self.time
 
 
+@cache
+def poses(spacing: float) -> list[tuple[float, Vector]]:
+    """Return times and poses of a robot with a larger input gain and a lag."""
+    constants = LUMPED.as_array() * np.array([1.0, GAIN, 1.0, 1.0])
+    found, state = [], without_momentum(START)
+    for time in np.arange(0.0, LATER + 1e-9, spacing).tolist():
+        state = predicted(SENT, state, time - spacing - LAG, time - LAG, constants)
+        found.append((time, state[POSE]))
+    return found
+
+
 def track(
-    estimator: Estimator, sent: SentInputs, until: float = DURATION, clock: Clock | None = None,
+    estimator: Estimator, until: float = DURATION, clock: Clock | None = None,
     poses_per_tick: int = 1,
 ) -> None:
-    """Pass the poses of a robot with a larger input gain and a lag; estimate in each period."""
-    constants = LUMPED.as_array() * np.array([1.0, GAIN, 1.0, 1.0])
-    state, newest = without_momentum(START), estimator.newest
-    spacing = PERIOD / poses_per_tick
-    for number, time in enumerate(np.arange(0.0, until + 1e-9, spacing).tolist()):
-        state = predicted(sent, state, time - spacing - LAG, time - LAG, constants)
+    """Pass the poses that are newer than the newest, and estimate in each period."""
+    newest = estimator.newest
+    for number, (time, pose) in enumerate(poses(PERIOD / poses_per_tick)):
+        if time > until + 1e-9:
+            break
         if clock is not None:
             clock.time = time
         if newest is None or time > newest[0]:
-            assert estimator.observe(time, state[POSE])
+            assert estimator.observe(time, pose)
             assert number % poses_per_tick or estimator.estimate(time) is not None
 
 
-def tracked(settings: ControllerSettings, sent: SentInputs) -> Estimator:
-    estimator = Estimator(settings, LUMPED, sent)
-    track(estimator, sent)
+def tracked(settings: ControllerSettings, **options: DelayedWorker) -> Estimator:
+    estimator = Estimator(settings, LUMPED, SENT, **options)
+    track(estimator)
     return estimator
 
 
@@ -74,87 +81,48 @@ def state_at(estimator: Estimator, time: float) -> Vector:
 
 
 @BOTH
-def test_constants_and_lag_are_estimated_and_kept(
-    settings: ControllerSettings, sent: SentInputs
-) -> None:
-    found = Estimator(settings, LUMPED, sent)
+def test_parameters_are_estimated_and_kept_whatever_changes(settings: ControllerSettings) -> None:
+    found = Estimator(settings, LUMPED, SENT)
     assert found.newest is None and found.estimate(0.0) is None
     assert found.plant.constants == LUMPED and found.plant.lag == 0.0
-    track(found, sent)
+    track(found)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
     assert found.plant.lag == pytest.approx(LAG, rel=0.1)
-    before, state = found.plant, state_at(found, DURATION)
+    before, state = found.plant, state_at(found, DURATION + 0.1)
+
+    def is_kept() -> bool:
+        return (found.plant.constants, found.plant.lag) == (before.constants, before.lag)
+
     # Settings of no concern change nothing.
     found.change(replace(settings, goal_tolerance=0.1, planning_effort=1000, pose_timeout=1.0))
-    assert found.plant.noise == before.noise
-    np.testing.assert_array_equal(state_at(found, DURATION), state)
+    assert is_kept() and found.plant.noise == before.noise
+    np.testing.assert_array_equal(state_at(found, DURATION + 0.1), state)
     found.change(replace(settings, learning=False))
     assert found.plant.constants == LUMPED and found.plant.lag == 0.0
     found.change(settings)
-    assert (found.plant.constants, found.plant.lag) == (before.constants, before.lag)
+    assert is_kept()
+    newest = found.newest
+    found.change(NOISY if settings is EXACT else EXACT)
+    assert is_kept() and found.newest == newest
+    np.testing.assert_allclose(state_at(found, DURATION + 0.1), state, atol=5e-4)
     found.forget()
-    assert found.newest is None and found.estimate(DURATION) is None
-    assert (found.plant.constants, found.plant.lag) == (before.constants, before.lag)
+    assert found.newest is None and found.estimate(DURATION) is None and is_kept()
 
 
 @BOTH
 def test_changed_drive_lag_restarts_the_lag_and_keeps_the_constants(
-    settings: ControllerSettings, sent: SentInputs
+    settings: ControllerSettings,
 ) -> None:
-    found = tracked(settings, sent)
+    found = tracked(settings)
     constants = found.plant.constants
     found.change(replace(settings, drive_lag=0.03))
     assert found.plant.lag == pytest.approx(0.03)
     assert found.plant.constants == constants
-    known = Estimator(replace(settings, learning=False), LUMPED, sent)
+    known = Estimator(replace(settings, learning=False), LUMPED, SENT)
     known.change(replace(settings, learning=False, drive_lag=0.03))
     assert known.plant.constants == LUMPED and known.plant.lag == 0.03
-    track(found, sent, LATER)
+    track(found, LATER)
     assert found.plant.lag == pytest.approx(LAG, rel=0.1), "estimated again from the new prior"
-
-
-@pytest.mark.parametrize(
-    ("before", "after"), [(EXACT, NOISY), (NOISY, EXACT)], ids=["to noisy", "to exact"]
-)
-def test_other_noise_of_the_poses_keeps_parameters_and_pose(
-    sent: SentInputs, before: ControllerSettings, after: ControllerSettings
-) -> None:
-    found = tracked(before, sent)
-    plant, state, newest = found.plant, state_at(found, DURATION + 0.1), found.newest
-    found.change(after)
-    assert (found.plant.constants, found.plant.lag) == (plant.constants, plant.lag)
-    assert found.newest == newest
-    np.testing.assert_allclose(state_at(found, DURATION + 0.1), state, atol=5e-4)
-
-
-@BOTH
-@pytest.mark.parametrize("delay", [0.0, 0.3], ids=["at once", "one transition later"])
-def test_learning_by_a_worker_gives_the_estimate_of_learning_in_line(
-    settings: ControllerSettings, sent: SentInputs, delay: float
-) -> None:
-    in_line, clock = tracked(settings, sent), Clock()
-    found = Estimator(settings, LUMPED, sent, worker=DelayedWorker(clock, delay))
-    track(found, sent, clock=clock)
-    clock.time += delay
-    assert same(found.plant, in_line.plant)
-    first, second = (one.estimate(DURATION + 0.1) for one in (found, in_line))
-    assert first is not None and second is not None
-    np.testing.assert_array_equal(first.state, second.state)
-    # Until there is another result, what it tells is the same object.
-    again = found.estimate(DURATION + 0.2)
-    assert again is not None and again.plant is first.plant
-    assert again.disturbance is first.disturbance
-
-
-def test_newest_pose_of_a_bunch_takes_the_place_of_the_others() -> None:
-    bunched, single = (Estimator(NOISY, LUMPED, SentInputs()) for _ in range(2))
-    for time in np.arange(0.0, 2.0, 0.05).tolist():
-        for delay in (0.0, 0.002, 0.003) if time > 0.1 else (0.003,):
-            assert bunched.observe(time + delay, START)
-        assert single.observe(time + 0.003, START)
-    first, second = bunched.estimate(2.0), single.estimate(2.0)
-    assert first is not None and second is not None
-    np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
 def same(first: PlantEstimate, second: PlantEstimate) -> bool:
@@ -164,28 +132,52 @@ def same(first: PlantEstimate, second: PlantEstimate) -> bool:
     ) and np.array_equal(first.deviations, second.deviations)
 
 
-def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known(
-    sent: SentInputs,
+@BOTH
+@pytest.mark.parametrize("delay", [0.0, 0.3], ids=["at once", "one transition later"])
+def test_learning_by_a_worker_gives_the_estimate_of_learning_in_line(
+    settings: ControllerSettings, delay: float
 ) -> None:
+    in_line, clock = tracked(settings), Clock()
+    found = Estimator(settings, LUMPED, SENT, worker=DelayedWorker(clock, delay))
+    track(found, clock=clock)
+    clock.time += delay
+    assert same(found.plant, in_line.plant)
+    first, again = (found.estimate(DURATION + ahead) for ahead in (0.1, 0.2))
+    second = in_line.estimate(DURATION + 0.1)
+    np.testing.assert_array_equal(first.state, second.state)
+    # Until there is another result, what it tells is the same object.
+    assert again.plant is first.plant and again.disturbance is first.disturbance
+
+
+def test_newest_pose_of_a_bunch_takes_the_place_of_the_others() -> None:
+    bunched, single = (Estimator(NOISY, LUMPED, SentInputs()) for _ in range(2))
+    for time in np.arange(0.0, 2.0, 0.05).tolist():
+        for delay in (0.0, 0.002, 0.003) if time > 0.1 else (0.003,):
+            assert bunched.observe(time + delay, START)
+        assert single.observe(time + 0.003, START)
+    first, second = bunched.estimate(2.0), single.estimate(2.0)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
+def test_worker_that_has_lost_what_was_learnt_goes_on_from_the_constants_known() -> None:
     worker = DelayedWorker(Clock(), 0.0)
-    found = Estimator(EXACT, LUMPED, sent, worker=worker)
-    track(found, sent)
+    found = tracked(EXACT, worker=worker)
     before = found.plant
     worker.lose()
-    track(found, sent, DURATION + PERIOD)
+    track(found, DURATION + PERIOD)
     assert found.plant.constants.as_array() == pytest.approx(before.constants.as_array(), rel=1e-4)
-    track(found, sent, LATER)
+    track(found, LATER)
     assert not same(found.plant, before)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
 
 
 @BOTH
 def test_intervals_keep_up_with_poses_that_are_faster_than_the_control_loop(
-    sent: SentInputs, settings: ControllerSettings
+    settings: ControllerSettings,
 ) -> None:
     clock = Clock()
     worker = DelayedWorker(clock, 0.0)
-    track(Estimator(settings, LUMPED, sent, worker=worker), sent, clock=clock, poses_per_tick=5)
+    track(Estimator(settings, LUMPED, SENT, worker=worker), clock=clock, poses_per_tick=5)
     spacing = PERIOD / 5
     # Ends of intervals of 0.2 s, of which the last tick leaves less than one.
     assert DURATION - worker.tasks[-1].time < 0.2 + spacing
@@ -197,32 +189,24 @@ def test_intervals_keep_up_with_poses_that_are_faster_than_the_control_loop(
 
 
 @BOTH
-def test_worker_that_is_busy_for_long_gets_few_tasks_and_then_longer_intervals(
-    sent: SentInputs, settings: ControllerSettings
+def test_worker_that_is_busy_is_asked_again_and_gets_longer_intervals(
+    settings: ControllerSettings,
 ) -> None:
     clock = Clock()
-    worker = DelayedWorker(clock, DURATION + 0.1)
-    found = Estimator(settings, LUMPED, sent, worker=worker)
-    track(found, sent, clock=clock, poses_per_tick=5)
-    assert len(worker.tasks) == 4
-    worker.delay, worker.busy = 0.0, True
-    track(found, sent, DURATION + 1.0, clock=clock, poses_per_tick=5)
-    worker.busy = False
-    track(found, sent, LATER, clock=clock, poses_per_tick=5)
-    assert len(worker.tasks) > 8
-    assert max(np.diff([task.time for task in worker.tasks])) < 1.5
-    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
-
-
-def test_worker_that_refuses_the_beginning_is_asked_again(sent: SentInputs) -> None:
-    clock = Clock()
-    worker = DelayedWorker(clock, 0.0)
+    worker = DelayedWorker(clock, DURATION)
+    found = Estimator(settings, LUMPED, SENT, worker=worker)
     worker.busy = True
-    found = Estimator(EXACT, LUMPED, sent, worker=worker)
-    track(found, sent, 1.0, clock=clock)
+    track(found, 0.5, clock, poses_per_tick=5)
     assert worker.tasks == []
     worker.busy = False
-    track(found, sent, clock=clock)
+    track(found, DURATION, clock, poses_per_tick=5)
+    assert len(worker.tasks) == 4, "few, while none is answered"
+    worker.delay, worker.busy = 0.0, True
+    track(found, DURATION + 1.0, clock, poses_per_tick=5)
+    worker.busy = False
+    track(found, LATER, clock, poses_per_tick=5)
+    assert len(worker.tasks) > 8
+    assert max(np.diff([task.time for task in worker.tasks])) < 1.5
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
 
 
@@ -237,12 +221,10 @@ def not_positive(result: Posterior) -> Posterior:
 @BOTH
 @pytest.mark.parametrize("spoiled", [not_finite, not_positive])
 def test_estimate_that_is_not_a_distribution_is_told_once_and_begins_anew(
-    settings: ControllerSettings,
-    sent: SentInputs,
-    spoiled: Callable[[Posterior], Posterior],
+    settings: ControllerSettings, spoiled: Callable[[Posterior], Posterior],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    made = tracked(settings, sent)
+    made = tracked(settings)
     observe, spoilt = MovingHorizon.observe, list[float]()
 
     def spoil(horizon: MovingHorizon, interval: Interval, time: float) -> None:
@@ -253,7 +235,7 @@ def test_estimate_that_is_not_a_distribution_is_told_once_and_begins_anew(
 
     monkeypatch.setattr(MovingHorizon, "observe", spoil)
     with pytest.raises(ArithmeticError, match="not a distribution, and begins anew"):
-        track(made, sent, LATER)
+        track(made, LATER)
     assert spoilt and gain(made) == 1.0
-    track(made, sent, LATER)
+    track(made, LATER)
     assert gain(made) == pytest.approx(GAIN, abs=0.02)

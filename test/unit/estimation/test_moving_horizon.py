@@ -34,23 +34,33 @@ def new_horizon(acceleration: float = np.inf) -> MovingHorizon:
     return horizon
 
 
+def random_speeds(samples: int, seed: int) -> list[Vector]:
+    return list(np.random.default_rng(seed).uniform(-100.0, 100.0, (samples, 2)))
+
+
 def drive(
-    horizon: MovingHorizon, robot: RobotParameters, samples: int, seed: int, noise: float = 0.0
+    horizon: MovingHorizon, robot: RobotParameters, speeds: list[Vector], share: float = np.inf,
+    noise: float = 0.0, moved: float = 0.0,
 ) -> None:
-    """Roll a plant with random ramps and pass each interval to the estimator."""
-    rng = np.random.default_rng(seed)
-    plant = RollingPlant(robot, START)
-    speeds: Vector = np.zeros(2)
-    for k in range(samples):
-        after = rng.uniform(-100.0, 100.0, 2)
-        plant.advance(after, PERIOD)
-        seen = plant.state + noise * rng.normal(size=6)
+    """Send ramps to a plant with drives of a share of the limit, and pass the poses on.
+
+    The robot is moved by `moved` [m] in each direction during the fifth sample.
+    """
+    rng, plant = np.random.default_rng(len(speeds)), RollingPlant(robot, START)
+    sent: list[Vector] = [np.zeros(2)] * 5
+    for i, wanted in enumerate(speeds):
+        sent.append(wanted)
+        durations, inputs = np.full(5, PERIOD), np.array(sent[-6:])
+        raw = Interval(np.array([PERIOD]), plant.state[None], durations, inputs, lead=4.0 * PERIOD)
+        pieces, attained, _ = raw.driven(share * LIMIT).window(0.0)
+        for duration, ends in zip(pieces, attained[1:], strict=True):
+            plant.advance(ends, float(duration))
+        away = noise * rng.normal(size=6)
+        away[:2] += moved * (i == 4)
+        seen = plant.state + away
         seen[2:] /= np.linalg.norm(seen[2:])
         plant.displace(seen)
-        durations, inputs = np.array([PERIOD] * 2), np.vstack((speeds, speeds, after))
-        interval = Interval(np.array([PERIOD]), seen[None], durations, inputs, lead=PERIOD)
-        horizon.observe(interval, (k + 1) * PERIOD)
-        speeds = after
+        horizon.observe(dataclasses.replace(raw, poses=seen[None]), (i + 1) * PERIOD)
 
 
 def errors_of_constants(horizon: MovingHorizon, robot: RobotParameters) -> Vector:
@@ -67,7 +77,7 @@ def test_wrong_parameters_are_corrected_within_two_seconds(percent: int) -> None
     for seed in range(2):
         robot = perturbed(NOMINAL, percent / 100.0, np.random.default_rng(seed))
         horizon = new_horizon()
-        drive(horizon, robot, 8, seed)
+        drive(horizon, robot, random_speeds(8, seed))
         # The prediction's own error over a sample is 1e-5 of about 0.1 m; one path tells the two
         # ratios apart ten times worse than that.
         assert relative_error(horizon, robot) < 1e-3
@@ -76,7 +86,7 @@ def test_wrong_parameters_are_corrected_within_two_seconds(percent: int) -> None
 def test_noise_is_distinguished_from_wrong_constants() -> None:
     robot = perturbed(NOMINAL, 0.03, np.random.default_rng(3))
     horizon = new_horizon()
-    drive(horizon, robot, 40, 3, noise=1e-3)
+    drive(horizon, robot, random_speeds(40, 3), noise=1e-3)
     # 12 steps of 5 components: the deviation of a deviation is 9 %; four of these.
     assert horizon.result.noise == pytest.approx(1e-3, rel=0.36)
     deviations = np.sqrt(np.diag(horizon.result.covariance)[KNOT : KNOT + 4])
@@ -101,31 +111,6 @@ def test_jumps_of_a_sphere_at_rest_are_hardly_ever_taken_for_momentum() -> None:
     assert disturbed <= 0.02 * 2 * samples
 
 
-def drive_weakly(
-    horizon: MovingHorizon, robot: RobotParameters, share: float, moved: float = 0.0
-) -> None:
-    """Send ramps at the limit, with pauses between, to rotors that attain a share of it.
-
-    The robot is moved by `moved` [m] in each direction during the fifth sample.
-    """
-    rng = np.random.default_rng(4)
-    plant = RollingPlant(robot, START)
-    sent: list[Vector] = [np.zeros(2)] * 5
-    for i in range(8):
-        reach = LIMIT * PERIOD
-        wanted = sent[-1] if i % 3 == 2 else sent[-1] + rng.choice([-reach, reach], 2)
-        sent.append(np.clip(wanted, -100.0, 100.0))
-        durations, inputs = np.full(5, PERIOD), np.array(sent[-6:])
-        raw = Interval(np.array([PERIOD]), plant.state[None], durations, inputs, lead=4.0 * PERIOD)
-        pieces, speeds, _ = raw.driven(share * LIMIT).window(0.0)
-        for duration, ends in zip(pieces, speeds[1:], strict=True):
-            plant.advance(ends, float(duration))
-        if i == 4:
-            plant.displace(plant.state + np.array([moved, moved, 0, 0, 0, 0]))
-        measured = dataclasses.replace(raw, poses=plant.state[None])
-        horizon.observe(measured, (i + 1) * PERIOD)
-
-
 @pytest.mark.parametrize(
     ("share", "moved"), [(0.6, 0.0), (0.93, 0.0), (1.0, 0.0), (0.8, -0.02), (1.0, -0.02)]
 )
@@ -133,8 +118,11 @@ def test_weak_drives_are_told_from_wrong_constants_and_a_robot_that_is_moved(
     share: float, moved: float
 ) -> None:
     robot = NOMINAL if moved else perturbed(NOMINAL, 0.2, np.random.default_rng(1))
-    horizon = new_horizon(LIMIT)
-    drive_weakly(horizon, robot, share, moved)
+    horizon, rng, speeds = new_horizon(LIMIT), np.random.default_rng(4), [np.zeros(2)]
+    for i in range(8):  # ramps at the limit, with pauses between
+        change = 0.0 if i % 3 == 2 else rng.choice([-1.0, 1.0], 2) * LIMIT * PERIOD
+        speeds.append(np.clip(speeds[-1] + change, -100.0, 100.0))
+    drive(horizon, robot, speeds[1:], share, moved=moved)
     assert horizon.result.common[SHARE] == pytest.approx(share, rel=0.01)
     if not moved:
         assert SCALING.lag(horizon.result.common) < 5e-4
@@ -147,6 +135,6 @@ def test_constants_far_from_the_prior_do_not_pass_for_noise() -> None:
     axial = 1.55 * NOMINAL.rotor_axial_inertia
     robot = dataclasses.replace(NOMINAL, rotor_axial_inertia=axial)
     horizon = new_horizon()
-    drive(horizon, robot, 4, 0)
+    drive(horizon, robot, random_speeds(4, 0))
     assert relative_error(horizon, robot) < 3e-3
     assert horizon.result.noise < 1e-4

@@ -7,6 +7,7 @@ import math
 import pickle
 import socket
 import weakref
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +16,15 @@ from scipy import ndimage
 from sphere_nmpc.channel import Channel, encoded
 from sphere_nmpc.floor.floor import Floor, exact_distance
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.floor.route import find_routes, plain_routes, route_to
+from sphere_nmpc.floor.route import find_routes, in_sight, plain_routes, route_to
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.strategy.clearance import Margin, Profile, needed_distance, refusal
 from sphere_nmpc.strategy.contract import Situation
 
 RADIUS = 0.3
+TWO_ROOMS = Path(__file__).parents[3] / "config" / "maps" / "two_rooms.yaml"
 
 
 def random_grid(seed: int, yaw: float = 0.0) -> Grid:
@@ -47,27 +50,19 @@ def places_on(grid: Grid, rng: np.random.Generator, count: int) -> Vector:
     return grid.world(rng.uniform((0, 0), (width, height), (count, 2)))
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.6])
-def test_distances_are_lower_bounds_that_miss_less_than_a_cell(yaw: float) -> None:
-    for seed in range(3):
-        grid = random_grid(seed, yaw)
-        floor = Floor(grid, RADIUS, 0.02)
-        places = places_on(grid, np.random.default_rng(seed), 2000)
-        exact, bound = distances_to_squares(grid, places), floor.distances(places)
-        # Corners have distances in single precision.
-        assert (bound <= exact + 1e-6).all()
-        # From a place to the nearest corner of its cell it is 0.71 of a side at most.
-        assert (bound >= exact - 2.0 * 0.71 * floor.fine.resolution - 1e-6).all()
-
-
-def test_exact_distance_is_that_to_all_squares() -> None:
-    for seed, yaw in enumerate((0.0, -1.1)):
-        grid = random_grid(seed, yaw)
-        places = places_on(grid, np.random.default_rng(seed), 500)
-        found = [exact_distance(grid, place, 10.0) for place in places]
-        np.testing.assert_allclose(found, distances_to_squares(grid, places), atol=1e-12)
-        near = [exact_distance(grid, place, 0.1) for place in places]
-        np.testing.assert_allclose(near, np.minimum(found, 0.1), atol=1e-12)
+@pytest.mark.parametrize(("seed", "yaw"), [(0, 0.0), (1, 0.6), (2, -1.1)])
+def test_distances_are_lower_bounds_that_miss_less_than_a_cell(seed: int, yaw: float) -> None:
+    grid = random_grid(seed, yaw)
+    floor = Floor(grid, RADIUS, 0.02)
+    places = places_on(grid, np.random.default_rng(seed), 2000)
+    right, bound = distances_to_squares(grid, places), floor.distances(places)
+    # Corners have distances in single precision.
+    assert (bound <= right + 1e-6).all()
+    # From a place to the nearest corner of its cell it is 0.71 of a side at most.
+    assert (bound >= right - 2.0 * 0.71 * floor.fine.resolution - 1e-6).all()
+    for reach in (10.0, 0.1):
+        found = [exact_distance(grid, place, reach) for place in places[:500]]
+        np.testing.assert_allclose(found, np.minimum(right[:500], reach), atol=1e-12)
 
 
 def test_places_outside_or_not_finite_have_no_distance() -> None:
@@ -100,12 +95,11 @@ def test_certificate_holds_between_samples() -> None:
         # isosceles triangle; others lie in the ellipse through it.
         for a, b, length in zip(path[:-1], path[1:], lengths, strict=True):
             chord = b - a
-            normal = np.array((-chord[1], chord[0])) / max(np.linalg.norm(chord), 1e-12)
+            normal = np.array((-chord[1], chord[0])) / np.linalg.norm(chord)
             angles = np.linspace(0.0, 2.0 * np.pi, 60)
             half, height = 0.5 * length, 0.5 * math.sqrt(max(0.0, length**2 - chord @ chord))
             ellipse = (
-                0.5 * (a + b)
-                + half * np.cos(angles)[:, None] * chord / max(np.linalg.norm(chord), 1e-12)
+                0.5 * (a + b) + half * np.cos(angles)[:, None] * chord / np.linalg.norm(chord)
                 + height * np.sin(angles)[:, None] * normal
             )
             assert distances_to_squares(grid, ellipse).min() >= found - 1e-9
@@ -123,6 +117,14 @@ def test_certificate_of_a_start_without_clearance() -> None:
     # Once it has enough it must keep that.
     assert math.isnan(certified([0.24, 0.25, 0.26, 0.248, 0.26]))
     assert certified([0.1]) == pytest.approx(0.1)
+
+
+def test_the_empty_floor_is_clear_everywhere_and_the_same_object_in_another_process() -> None:
+    empty, places = Floor.EMPTY, np.array([[0.0, 0.0], [1e6, -1e6]])
+    assert pickle.loads(pickle.dumps(empty)) is empty and empty.lasting is empty
+    assert empty.distances(places).tolist() == [math.inf, math.inf]
+    assert not empty.is_occupied(places[1]) and math.isinf(empty.distance(places[1]))
+    assert not empty.collided(places[:, None], 1.0).any()
 
 
 def test_a_floor_reaches_another_process_as_shared_memory() -> None:
@@ -212,44 +214,49 @@ def test_a_way_is_found_exactly_where_there_is_one() -> None:
     assert unsure < 20
 
 
-def test_a_way_around_a_wall_is_about_as_long_as_the_shortest() -> None:
+START, GOAL = np.array([1.0, 1.0]), np.array([3.0, 1.0])
+
+
+def walled(rows: int) -> Floor:
+    """Return a floor of 4 m by 4 m with a wall between `START` and `GOAL`."""
     occupied = np.zeros((80, 80), dtype=bool)
-    occupied[:50, 40] = True
-    floor = Floor(Grid(occupied, 0.05), RADIUS, 0.02)
-    way = route_to(floor, np.array([3.0, 1.0]))
+    occupied[:rows, 40] = True
+    return Floor(Grid(occupied, 0.05), RADIUS, 0.02)
+
+
+def test_a_way_around_a_wall_is_about_as_long_as_the_shortest() -> None:
+    floor = walled(50)
+    way = route_to(floor, GOAL)
     # Around the circle of the needed distance about the end of the wall, twice a tangent.
-    shortest = 0.0
-    for place, corner in (((1.0, 1.0), (2.0, 2.5)), ((3.0, 1.0), (2.05, 2.5))):
+    shortest = 0.05
+    for place, corner in ((START, (2.0, 2.5)), (GOAL, (2.05, 2.5))):
         away = math.dist(place, corner)
-        tangent = math.sqrt(away**2 - floor.needed**2)
         turn = math.pi / 2 + math.atan2(corner[1] - place[1], abs(corner[0] - place[0]))
         turn -= math.acos(floor.needed / away)
-        shortest += tangent + floor.needed * max(0.0, turn)
-    shortest += 0.05
-    path = way.path(np.array([1.0, 1.0]))
+        shortest += math.sqrt(away**2 - floor.needed**2) + floor.needed * max(0.0, turn)
+    path = way.path(START)
     length = np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1))
     # Sixteen directions are 2.7 per cent longer at the worst, and it keeps away from the wall.
     assert shortest - 0.03 < length < 1.15 * shortest
     assert floor.distances(path).min() > floor.needed
-    assert way.length(np.array([1.0, 1.0])) >= length - 0.03
+    assert way.length(START) >= length - 0.03
     # It is not dearer to begin in another place on it.
-    assert way.length(path[len(path) // 2]) < 0.7 * way.length(np.array([1.0, 1.0]))
+    assert way.length(path[len(path) // 2]) < 0.7 * way.length(START)
 
 
-def test_the_empty_floor_is_clear_everywhere_and_the_same_object_in_another_process() -> None:
-    empty, places = Floor.EMPTY, np.array([[0.0, 0.0], [1e6, -1e6]])
-    assert pickle.loads(pickle.dumps(empty)) is empty and empty.lasting is empty
-    assert empty.distances(places).tolist() == [math.inf, math.inf]
-    assert not empty.is_occupied(places[1]) and math.isinf(empty.distance(places[1]))
-    assert not empty.collided(places[:, None], 1.0).any()
+def test_no_way_out_of_a_closed_room_into_a_wall_or_off_the_floor() -> None:
+    floor = walled(80)
+    assert route_to(floor, GOAL).length(START) == math.inf
+    assert len(route_to(floor, GOAL).path(START)) == 0
+    for goal in ([2.0, 1.0], [9.0, 1.0]):
+        assert len(route_to(floor, np.array(goal)).path(GOAL)) == 0
 
 
-def test_no_way_out_of_a_closed_room() -> None:
-    occupied = np.zeros((80, 80), dtype=bool)
-    occupied[:, 40] = True
-    floor = Floor(Grid(occupied, 0.05), RADIUS, 0.02)
-    way = route_to(floor, np.array([3.0, 1.0]))
-    assert len(way.path(np.array([1.0, 1.0]))) == 0
-    assert way.length(np.array([1.0, 1.0])) == math.inf
-    assert len(route_to(floor, np.array([2.0, 1.0])).path(np.array([3.0, 1.0]))) == 0
-    assert len(route_to(floor, np.array([9.0, 1.0])).path(np.array([3.0, 1.0]))) == 0
+def test_map_of_the_documents_has_a_way_that_is_not_straight_to_its_goal() -> None:
+    settings, start, goal = FloorSettings(map_file=str(TWO_ROOMS)), [2.0, -3.0], np.zeros(2)
+    floor = settings.whole(RADIUS)
+    assert floor.distances(np.array([start, goal, [1.0, 2.0]])).min() > 1.0
+    assert not in_sight(floor, np.array(start), goal[None], floor.needed)[0]
+    assert 4.0 < route_to(floor, goal).length(np.array(start)) < 6.0
+    # The doorway is 1.2 m wide.
+    assert np.isinf(route_to(settings.whole(0.7), goal).length(np.array(start)))

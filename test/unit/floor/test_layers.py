@@ -4,7 +4,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,50 +27,41 @@ def clear(grid: Grid | None, x: float, y: float) -> float:
     return float(Floor(grid, RADIUS, 0.0).distances(np.array([[x, y]]))[0])
 
 
-def test_nothing_given_is_no_floor() -> None:
-    assert Layers().grid(RADIUS) is None
+def test_nothing_given_is_no_floor_and_a_map_alone_stays_as_it_is() -> None:
     assert Layers().with_keepout(3, None).grid(RADIUS) is None
-
-
-def test_map_alone_stays_as_it_is() -> None:
     assert Layers(HALL).grid(RADIUS) is HALL
 
 
-def test_edge_alone_encloses_the_floor() -> None:
-    grid = Layers(edge=ROOM).grid(RADIUS)
-    assert clear(grid, 1.0, 1.0) == pytest.approx(0.5, abs=0.04)
-    assert clear(grid, 0.4, 1.0) == 0.0 and clear(grid, 10.0, 1.0) == 0.0
-
-
-def test_area_alone_lies_on_free_floor_that_includes_the_origin() -> None:
-    grid = Layers(keepouts={1: PILLAR + 40.0}).grid(RADIUS)
-    assert clear(grid, 0.0, 0.0) > 20.0 and clear(grid, 41.6, 40.9) == 0.0
+@pytest.mark.parametrize(
+    ("layers", "distances"),
+    [
+        (Layers(edge=ROOM), {(1.0, 1.0): 0.5, (0.4, 1.0): 0.0, (10.0, 1.0): 0.0}),
+        (Layers(keepouts={1: PILLAR + 40.0}), {(41.6, 40.9): 0.0, (41.1, 40.9): 0.4}),
+        # The last place is on the map, but outside of the edge.
+        (Layers(HALL, ROOM, {4: PILLAR}),
+         {(2.5, 1.0): 0.5, (1.6, 0.9): 0.0, (1.4, 0.9): 0.1, (3.5, 1.0): 0.0}),
+    ],
+    ids=["edge", "area", "all"],
+)
+def test_layers_are_put_together(layers, distances) -> None:
+    grid = layers.grid(RADIUS)
     assert grid is not None and grid.occupied.size < 5_000_000
-
-
-def test_layers_are_put_together() -> None:
-    grid = Layers(HALL, ROOM, {4: PILLAR}).grid(RADIUS)
-    assert grid is not None
-    assert grid.resolution == pytest.approx(RADIUS / 24.0), "finer than the map"
-    assert clear(grid, 2.5, 1.0) == pytest.approx(0.5, abs=0.04)
-    assert clear(grid, 1.6, 0.9) == 0.0
-    assert clear(grid, 3.5, 1.0) == 0.0, "on the map, but outside of the edge"
-    assert clear(grid, 1.4, 0.9) == pytest.approx(0.1, abs=0.04)
+    # A cell as fine as a sphere needs, finer than the map's.
+    assert grid.resolution == pytest.approx(RADIUS / 24.0) or layers.map is None
+    for place, expected in distances.items():
+        found = clear(grid, *place)
+        assert found == pytest.approx(expected, abs=0.04) and (found == 0.0) == (expected == 0.0)
+    assert layers.edge is not None or clear(grid, 0.0, 0.0) > 20.0, "free floor at the origin"
 
 
 def test_area_is_replaced_and_removed_by_its_id() -> None:
     first = Layers(HALL).with_keepout(1, PILLAR)
-    both = first.with_keepout(2, PILLAR + 1.0)
-    moved = both.with_keepout(1, PILLAR + 0.5)
-    assert sorted(moved.keepouts) == [1, 2] and moved.keepouts[1] is not PILLAR
+    moved = first.with_keepout(2, PILLAR + 1.0).with_keepout(1, PILLAR + 0.5)
+    assert sorted(first.keepouts) == [1] and sorted(moved.keepouts) == [1, 2]
     assert clear(moved.grid(RADIUS), 1.6, 0.9) > 0.0
-    assert sorted(first.keepouts) == [1], "layers do not change"
     assert sorted(moved.with_keepout(1, None).keepouts) == [2]
-
-
-def test_area_beyond_a_map_has_no_effect_on_it() -> None:
-    alone, far = Layers(HALL, ROOM).grid(RADIUS), Layers(HALL, ROOM, {1: PILLAR + 1e5})
-    np.testing.assert_array_equal(far.grid(RADIUS).occupied, alone.occupied)
+    far = Layers(HALL, ROOM, {1: PILLAR + 1e5}).grid(RADIUS)
+    np.testing.assert_array_equal(far.occupied, Layers(HALL, ROOM).grid(RADIUS).occupied)
 
 
 @pytest.mark.parametrize(
@@ -91,15 +81,14 @@ def test_layer_that_would_make_cells_too_large_is_refused(layers, told) -> None:
     assert str(caught.value).startswith(told)
 
 
-@pytest.mark.parametrize("radius", [0.03, 0.3, 3.0])
-def test_extent_of_a_floor_without_a_map_grows_with_the_sphere(radius) -> None:
-    scale = radius / RADIUS
+@pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
+def test_extent_of_a_floor_without_a_map_grows_with_the_sphere(scale) -> None:
+    radius = scale * RADIUS
     grid = Layers(keepouts={1: scale * PILLAR}).grid(radius)
-    assert grid is not None and grid.resolution < 0.15 * radius
-    assert grid.resolution == pytest.approx(scale * Layers(keepouts={1: PILLAR}).grid(RADIUS)
-                                            .resolution)
-    for x, y in ((25.0, 0.0), (-25.0, 0.0), (0.0, 25.0), (0.0, -25.0)):
-        assert grid.contains(scale * np.array([x, y]))
+    finest = Layers(keepouts={1: PILLAR}).grid(RADIUS).resolution
+    assert grid.resolution == pytest.approx(scale * finest) and grid.resolution < 0.15 * radius
+    for place in ((25.0, 0.0), (-25.0, 0.0), (0.0, 25.0), (0.0, -25.0)):
+        assert grid.contains(scale * np.array(place))
 
 
 def test_number_of_areas_is_limited() -> None:
@@ -120,68 +109,50 @@ def test_cells_are_computed_again_only_for_what_has_changed(monkeypatch) -> None
     )
     layers = Layers(keepouts={number: PILLAR + 0.01 * number for number in range(50)})
     first = layers.grid(RADIUS)
-    assert len(entered) == 50
     moved = layers.with_keepout(7, PILLAR + 1.0)
     grid = moved.grid(RADIUS)
     assert entered[50:] == [2.5], "on a floor of the same extent"
+    assert moved.with_keepout(8, None).grid(RADIUS).occupied.any() and len(entered) == 51
     fresh = Layers(keepouts=moved.keepouts).grid(RADIUS)
-    np.testing.assert_array_equal(grid.occupied, fresh.occupied)
     assert grid.origin == fresh.origin == first.origin
-    del entered[:]
-    assert moved.with_keepout(7, None).grid(RADIUS).occupied.any() and not entered
-    walled = replace(moved, map=HALL)
-    np.testing.assert_array_equal(
-        walled.grid(RADIUS).occupied, Layers(HALL, None, moved.keepouts).grid(RADIUS).occupied
-    )
-    np.testing.assert_array_equal(moved.grid(RADIUS).occupied, fresh.occupied)
-
-
-def map_file(folder: Path) -> Path:
-    """Write a map of two cells, of which the first is free and the second is grey."""
-    (folder / "hall.pgm").write_bytes(b"P5 2 1 255\n\xff\x80")
-    file = folder / "hall.yaml"
-    file.write_text("image: hall.pgm\nresolution: 2\norigin: [0, 0, 0]\n")
-    return file
+    walled, right = replace(moved, map=HALL), Layers(HALL, None, moved.keepouts)
+    for found, expected in ((grid, fresh), (walled.grid(RADIUS), right.grid(RADIUS)),
+                            (moved.grid(RADIUS), fresh)):
+        np.testing.assert_array_equal(found.occupied, expected.occupied)
 
 
 def test_settings_make_the_whole_floor(tmp_path) -> None:
-    assert FloorSettings().whole(RADIUS).is_empty
-    settings = FloorSettings(map_file=str(map_file(tmp_path)), clearance=0.1)
-    floor = settings.whole(RADIUS)
-    assert floor is not None and floor.needed == pytest.approx(0.4)
-    assert floor.grid.occupied.tolist() == [[False, True]]
-    known = FloorSettings(map_file=settings.map_file, unknown_is_free=True).whole(RADIUS)
-    assert known is not None and not known.grid.occupied.any()
-    room = FloorSettings(floor=json.dumps(ROOM.tolist())).whole(RADIUS)
-    assert room is not None and room.clearance == 0.03
-    np.testing.assert_array_equal(FloorSettings(floor=json.dumps(ROOM.tolist())).edge(), ROOM)
-    assert FloorSettings(floor="  ").edge() is None
+    assert FloorSettings().whole(RADIUS).is_empty and FloorSettings(floor="  ").edge() is None
+    file = tmp_path / "hall.yaml"
+    with pytest.raises(InvalidMapError, match=r"map file .*hall\.yaml"):
+        FloorSettings(map_file=str(file)).whole(RADIUS)
+    # Two cells, of which the first is free and the second is grey.
+    (tmp_path / "hall.pgm").write_bytes(b"P5 2 1 255\n\xff\x80")
+    file.write_text("image: hall.pgm\nresolution: 2\norigin: [0, 0, 0]\n")
+    floor = FloorSettings(map_file=str(file), clearance=0.1).whole(RADIUS)
+    assert floor.needed == pytest.approx(0.4) and floor.grid.occupied.tolist() == [[False, True]]
+    known = FloorSettings(map_file=str(file), unknown_is_free=True).whole(RADIUS)
+    assert not known.grid.occupied.any()
+    room = FloorSettings(floor=json.dumps(ROOM.tolist()))
+    np.testing.assert_array_equal(room.edge(), ROOM)
+    assert room.whole(RADIUS).clearance == 0.03
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("edge", "told"),
     [
-        ({"floor": "[[0, 0], [1, 1]"}, "floor: given '[[0, 0], [1, 1]', expected corners such as"),
-        ({"floor": "[[0, 0, 0], [1, 1, 1]]"}, "floor: given "),
-        ({"floor": "7"}, "floor: given '7', expected corners such as"),
-        ({"floor": "[" * 100_000}, "floor: given '[[[[["),
-        ({"floor": f"[[0, 0], [1, 0], [1, 1{'0' * 400}]]"}, "floor: given '[[0, 0], [1, 0], ["),
-        ({"floor": "[" + "[0, 0], " * 50_000 + "]"}, "expected at most 320000 characters"),
-        ({"floor": "[[0, 0], [1, 0], [1, NaN]]"}, "floor: given '3 corners', expected three or"),
-        ({"floor": "[[0, 0], [1, 1], [1, 0], [0, 1]]"}, "floor: given 'edges 0 and 2 that cross'"),
-        ({"clearance": -0.1}, "clearance: given -0.1, expected 0 to 100 [m]"),
-        ({"clearance": float("nan")}, "clearance: given nan, expected a finite number"),
-        ({"occupied_threshold": 0.0}, "occupied_threshold: given 0.0, expected 0.01 to 1"),
-        ({"unknown_is_free": 1}, "unknown_is_free: given 1, expected true or false"),
+        ("[[0, 0], [1, 1]", "given '[[0, 0], [1, 1]', expected corners such as"),
+        ("[[0, 0, 0], [1, 1, 1]]", "given "),
+        ("7", "given '7', expected corners such as"),
+        ("[" * 100_000, "given '[[[[["),
+        (f"[[0, 0], [1, 0], [1, 1{'0' * 400}]]", "given '[[0, 0], [1, 0], ["),
+        ("[" + "[0, 0], " * 50_000 + "]", "expected at most 320000 characters"),
+        ("[[0, 0], [1, 0], [1, NaN]]", "given '3 corners', expected three or"),
+        ("[[0, 0], [1, 1], [1, 0], [0, 1]]", "given 'edges 0 and 2 that cross'"),
     ],
+    ids=range(8),
 )
-def test_wrong_setting_is_named(settings, told) -> None:
-    with pytest.raises(InvalidParameterError) as caught:
-        FloorSettings(**settings)
+def test_wrong_edge_is_named(edge, told) -> None:
+    with pytest.raises(InvalidParameterError, match=r"^floor: ") as caught:
+        FloorSettings(floor=edge)
     assert told in str(caught.value)
-
-
-def test_map_file_that_cannot_be_read_is_named(tmp_path) -> None:
-    settings = FloorSettings(map_file=str(tmp_path / "none.yaml"))
-    with pytest.raises(InvalidMapError, match=r"map file .*none\.yaml"):
-        settings.whole(RADIUS)

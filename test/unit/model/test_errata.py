@@ -7,6 +7,7 @@ that is put together from the bodies; the list of misprints is in ``msg_docs/con
 """
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import Vector, make_state, upright_state
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 ROBOT = RobotParameters()
@@ -33,103 +35,94 @@ FAILS = 1e-2
 """A misprint shows in the largest residual of many random states far above rounding."""
 
 
-def motions(number: int = 50, seed: int = 0) -> list[tuple[Vector, Vector, Vector, Vector]]:
-    """Return states, inputs, state rates and body rates of the plant."""
-    rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(number):
-        q = rng.normal(size=4)
-        x = np.concatenate((rng.uniform(-3, 3, 2), q / np.linalg.norm(q)))
-        found.append((x, *rates(x, rng.uniform(-100, 100, 2))))
-    return found
-
-
-def rates(x: Vector, u: Vector) -> tuple[Vector, Vector, Vector]:
+def rates(x: Vector, u: Vector) -> tuple[Vector, Vector]:
+    """Return the rate of the state and the body rate of the plant."""
     plant = RollingPlant(ROBOT, x)
     plant._speeds = (float(u[0]), float(u[1]))
-    return u, np.array(plant.rate((*x, 0.0, 0.0, 0.0), *u)[:6]), plant.body_rate
+    return np.array(plant.rate((*x, 0.0, 0.0, 0.0), *u)[:6]), plant.body_rate
 
 
 def to_world(x: Vector) -> Vector:
-    return Rotation.from_quat(x[[3, 4, 5, 2]]).as_matrix()
+    return Rotation.from_quat(x[..., [3, 4, 5, 2]]).as_matrix()
 
 
-def check(printed: list[Vector], corrected: list[Vector]) -> None:
-    """Check that the printed equation leaves residuals and the corrected one none."""
-    assert np.max(np.abs(printed)) > FAILS
-    assert np.max(np.abs(corrected)) < HOLDS
+class Motions:
+    """Random motions of the plant: each number of the paper is an array."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(0)
+        x = np.array([make_state((0.0, 0.0), random_quaternion(rng)) for _ in range(50)])
+        u = rng.uniform(-100, 100, (50, 2))
+        dx, self.body = map(np.array, zip(*map(rates, x, u), strict=True))
+        self.u, self.v, self.q, self.dq = u.T, dx[:, :2].T, x[:, 2:6].T, dx[:, 2:6].T
+        self.spin = np.einsum("kij,kj->ik", to_world(x), self.body)
 
 
-def test_eq_4_needs_a_factor_of_two() -> None:
-    printed, corrected = [], []
-    for x, _, dx, body in motions():
-        q1, q2, q3, q4 = x[2:6]
-        matrix = np.array([[-q2, q1, -q4, q3], [-q3, q4, q1, -q2], [-q4, -q3, q2, q1]])
-        spin = to_world(x) @ body
-        printed.append(matrix @ dx[2:6] - spin)
-        corrected.append(2.0 * matrix @ dx[2:6] - spin)
-    check(printed, corrected)
+Residuals = tuple[Vector, Vector]
 
 
-def test_eq_10_needs_the_factor_of_two_of_eq_7() -> None:
-    mass = ROBOT.total_mass
-    printed, corrected = [], []
-    for x, _, dx, _ in motions():
-        q1, q2, q3, q4 = x[2:6]
-        d1, d2, d3, d4 = dx[2:6]
-        momentum = mass * RADIUS * np.array([
-            -q3 * d1 + q4 * d2 + q1 * d3 - q2 * d4, q2 * d1 - q1 * d2 + q4 * d3 - q3 * d4,
-        ])
-        printed.append(momentum / mass - dx[:2])
-        corrected.append(2.0 * momentum / mass - dx[:2])
-    check(printed, corrected)
+def eq_4(m: Motions) -> Residuals:
+    """A factor of two is missing."""
+    q1, q2, q3, q4 = m.q
+    matrix = np.array([[-q2, q1, -q4, q3], [-q3, q4, q1, -q2], [-q4, -q3, q2, q1]])
+    found = np.einsum("ijk,jk->ik", matrix, m.dq)
+    return found - m.spin, 2.0 * found - m.spin
 
 
-def test_eq_12_needs_a_minus_in_its_third_line() -> None:
+def eq_10(m: Motions) -> Residuals:
+    """The factor of two of Eq. (7) is missing."""
+    (q1, q2, q3, q4), (d1, d2, d3, d4) = m.q, m.dq
+    velocity = RADIUS * np.array([
+        -q3 * d1 + q4 * d2 + q1 * d3 - q2 * d4, q2 * d1 - q1 * d2 + q4 * d3 - q3 * d4,
+    ])
+    return velocity - m.v, 2.0 * velocity - m.v
+
+
+def eq_12(m: Motions) -> Residuals:
+    """The third line needs a minus; the first two hold."""
+    (q1, q2, q3, q4), (d1, d2, d3, d4), (vx, vy) = m.q, m.dq, m.v
     it1, it2, i1 = ROBOT.transverse_inertia, ROBOT.axial_inertia, ROBOT.rotor_axial_inertia
     rolling = ROBOT.total_mass * RADIUS
-    first, second, printed, corrected = [], [], [], []
-    for x, u, dx, _ in motions():
-        q1, q2, q3, q4 = x[2:6]
-        d1, d2, d3, d4 = dx[2:6]
-        vx, vy = dx[:2]
-        first.append(
-            2 * it1 * (-d1 * q2 + d2 * q1 + d3 * q4 - d4 * q3) + i1 * u[0]
-            + 2 * rolling * vx * (q1 * q4 + q2 * q3)
-            + rolling * vy * (q3**2 + q4**2 - q1**2 - q2**2)
-        )
-        second.append(
-            2 * it1 * (-d1 * q3 - d2 * q4 + d3 * q1 + d4 * q2) + i1 * u[1]
-            + 2 * rolling * vy * (q1 * q4 - q2 * q3)
-            + rolling * vx * (q1**2 + q3**2 - q2**2 - q4**2)
-        )
-        moved = rolling * (vx * (q1 * q2 - q3 * q4) + vy * (q1 * q3 + q2 * q4))
-        spun = it2 * (-d1 * q4 + d2 * q3 - d3 * q2 + d4 * q1)
-        printed.append(moved + spun)
-        corrected.append(-moved + spun)
-    check(printed, [*first, *second, *corrected])
+    first = (
+        2 * it1 * (-d1 * q2 + d2 * q1 + d3 * q4 - d4 * q3) + i1 * m.u[0]
+        + 2 * rolling * vx * (q1 * q4 + q2 * q3)
+        + rolling * vy * (q3**2 + q4**2 - q1**2 - q2**2)
+    )
+    second = (
+        2 * it1 * (-d1 * q3 - d2 * q4 + d3 * q1 + d4 * q2) + i1 * m.u[1]
+        + 2 * rolling * vy * (q1 * q4 - q2 * q3)
+        + rolling * vx * (q1**2 + q3**2 - q2**2 - q4**2)
+    )
+    moved = rolling * (vx * (q1 * q2 - q3 * q4) + vy * (q1 * q3 + q2 * q4))
+    spun = it2 * (-d1 * q4 + d2 * q3 - d3 * q2 + d4 * q1)
+    return moved + spun, np.array([first, second, -moved + spun])
 
 
-def test_body_rate_below_eq_12_needs_a_factor_of_two() -> None:
-    printed, corrected = [], []
-    for x, _, dx, body in motions():
-        q1, q2, q3, q4 = x[2:6]
-        d1, d2, d3, d4 = dx[2:6]
-        given = -d1 * q4 + d2 * q3 - d3 * q2 + d4 * q1
-        printed.append(given - body[2])
-        corrected.append(2.0 * given - body[2])
-    check(printed, corrected)
+def body_rate_below_eq_12(m: Motions) -> Residuals:
+    """A factor of two is missing."""
+    (q1, q2, q3, q4), (d1, d2, d3, d4) = m.q, m.dq
+    given = -d1 * q4 + d2 * q3 - d3 * q2 + d4 * q1
+    return given - m.body[:, 2], 2.0 * given - m.body[:, 2]
 
 
-def test_eq_19_needs_the_sign_of_eq_18() -> None:
-    rng = np.random.default_rng(1)
-    printed, corrected = [], []
-    for q3, q4 in rng.uniform(-0.7, 0.7, size=(50, 2)):
-        q1, q2 = np.sqrt(0.5 - q4**2), np.sqrt(0.5 - q3**2)
-        east = 2 * RADIUS * (q3 * q1 - q4 * q2)
-        printed.append(np.hypot(east, -2 * RADIUS * (q2 * q1 - q3 * q4)) - RADIUS)
-        corrected.append(np.hypot(east, -2 * RADIUS * (q2 * q1 + q3 * q4)) - RADIUS)
-    check(printed, corrected)
+def eq_19(_: Motions) -> Residuals:
+    """The second row needs the sign of Eq. (18)."""
+    q3, q4 = np.random.default_rng(1).uniform(-0.7, 0.7, size=(2, 50))
+    q1, q2 = np.sqrt(0.5 - q4**2), np.sqrt(0.5 - q3**2)
+    east = 2 * RADIUS * (q3 * q1 - q4 * q2)
+    printed, corrected = (
+        np.hypot(east, -2 * RADIUS * (q2 * q1 + sign * q3 * q4)) - RADIUS for sign in (-1.0, 1.0)
+    )
+    return printed, corrected
+
+
+@pytest.mark.parametrize("equation", [eq_4, eq_10, eq_12, body_rate_below_eq_12, eq_19])
+def test_printed_equation_leaves_residuals_and_the_corrected_one_none(
+    equation: Callable[[Motions], Residuals]
+) -> None:
+    printed, corrected = equation(Motions())
+    assert np.max(np.abs(printed)) > FAILS
+    assert np.max(np.abs(corrected)) < HOLDS
 
 
 def box_1(alpha: float, phi: float, sign: float) -> Vector:
@@ -164,34 +157,32 @@ def test_box_1_needs_a_minus_to_equal_its_product(alpha: float, phi: float) -> N
 def test_on_gamma_every_input_rolls_along_the_line_of_corollary_1(
     alpha: float, phi: float
 ) -> None:
-    line = np.array([np.cos(alpha + phi), np.sin(alpha + phi)])
-    across = np.array([-line[1], line[0]])
-    corrected = np.concatenate((np.zeros(2), box_1(alpha, phi, -1.0)))
-    misprinted = np.concatenate((np.zeros(2), box_1(alpha, phi, 1.0)))
-    rng = np.random.default_rng(2)
+    across = np.array([-np.sin(alpha + phi), np.cos(alpha + phi)])
+    corrected, misprinted = (
+        make_state((0.0, 0.0), box_1(alpha, phi, sign)) for sign in (-1.0, 1.0)
+    )
     astray, along = [], []
-    for u in rng.uniform(-100, 100, size=(20, 2)):
-        _, dx, _ = rates(corrected, u)
+    for u in np.random.default_rng(2).uniform(-100, 100, size=(20, 2)):
+        dx, _ = rates(corrected, u)
         assert abs(dx[:2] @ across) < HOLDS
-        along.append(abs(dx[:2] @ line))
+        along.append(np.linalg.norm(dx[:2]))
         # The paper's own expressions for the velocity, up to a common factor.
         vx = u[1] * np.cos(alpha) + u[0] * np.sin(alpha)
         vx += u[1] * np.cos(alpha + 2 * phi) - u[0] * np.sin(alpha + 2 * phi)
         vy = u[1] * np.sin(alpha) - u[0] * np.cos(alpha)
         vy += u[0] * np.cos(alpha + 2 * phi) + u[1] * np.sin(alpha + 2 * phi)
         assert abs(vx * dx[1] - vy * dx[0]) < HOLDS * 1e3  # products of 200 rad/s and 5 m/s
-        astray.append(abs(rates(misprinted, u)[1][:2] @ across))
+        astray.append(abs(rates(misprinted, u)[0][:2] @ across))
     assert max(along) > FAILS
     assert max(astray) > FAILS
 
 
 @pytest.mark.parametrize(("alpha", "phi"), ANGLES)
 def test_on_gamma_one_input_spins_in_place_as_remark_1_says(alpha: float, phi: float) -> None:
-    x = np.concatenate((np.zeros(2), box_1(alpha, phi, -1.0)))
-    columns = np.column_stack([rates(x, u)[1][:2] for u in np.eye(2)])
+    x = make_state((0.0, 0.0), box_1(alpha, phi, -1.0))
+    columns = np.column_stack([rates(x, u)[0][:2] for u in np.eye(2)])
     assert abs(np.linalg.det(columns)) < HOLDS
-    spin_input = np.linalg.svd(columns)[2][1]
-    _, dx, body = rates(x, 100.0 * spin_input)
+    dx, body = rates(x, 100.0 * np.linalg.svd(columns)[2][1])
     np.testing.assert_allclose(dx[:2], 0.0, atol=HOLDS)
     spin = to_world(x) @ body
     np.testing.assert_allclose(spin[:2], 0.0, atol=HOLDS * 10.0)
@@ -199,7 +190,7 @@ def test_on_gamma_one_input_spins_in_place_as_remark_1_says(alpha: float, phi: f
 
 
 def upright(heading: float = 0.0, x: float = 0.0) -> Vector:
-    return np.array([x, 0.0, np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+    return upright_state(x, 0.0, heading)
 
 
 def moved(start: Vector, knots: Vector | list[Vector]) -> list[Vector]:
@@ -260,13 +251,13 @@ def test_constant_acceleration_does_not_give_the_constant_torque_of_remark_3() -
     """Eq. (45) contains the angular acceleration of the shell."""
     inertia, steps = ROBOT.rotor_axial_inertia, 2000
     slope = np.array([300.0, -150.0])
-    x = np.concatenate((np.zeros(2), box_1(0.7, 0.3, -1.0)))
+    x = make_state((0.0, 0.0), box_1(0.7, 0.3, -1.0))
     plant, torques, rotors = RollingPlant(ROBOT, x), [], []
     for step in range(1, steps + 1):
         u = slope * PERIOD * step / steps
         plant.advance(u, PERIOD / steps)
         torques.append(plant.rotor_torques)
-        rotors.append(u + rates(plant.state, u)[2][:2])
+        rotors.append(u + rates(plant.state, u)[1][:2])
     spread = np.ptp(torques, axis=0)
     assert np.max(spread / np.abs(inertia * slope)) > FAILS
     # With it they are the change of the rotors' momenta about their axes.

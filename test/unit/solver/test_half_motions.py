@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Half motions and their meetings, compiled and plain."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from compiled_solver import compiled
@@ -27,6 +29,7 @@ COUNT, LEVELS = 320, 10
 ROUNDING = 1e-3
 """Single precision has 7 digits; a turn of 10 rad/s amplifies an error some hundred times."""
 SPEED = 0.742
+REST = np.zeros(2)
 
 
 def signals(seed: int) -> Floats:
@@ -37,28 +40,26 @@ def signals(seed: int) -> Floats:
     return np.concatenate((signs, times.reshape(4, COUNT))).astype(np.float32)
 
 
-def states(seed: int) -> tuple[Vector, Vector]:
+def both_sides(
+    seed: int, begin: Vector = REST, motions: Callable[..., Side] = half_motions
+) -> tuple[Side, Side]:
     rng = np.random.default_rng(seed)
     start, goal = (make_state(rng.uniform(-0.7, 0.7, 2), random_quaternion(rng)) for _ in "ab")
-    return start, goal
-
-
-def both_sides(seed: int, begin: Vector) -> tuple[Side, Side]:
-    start, goal = states(seed)
-    given = signals(seed)
-    forth = half_motions(start, begin, given, LEVELS, DRIVES, CONSTANTS)
-    return forth, half_motions(goal, np.zeros(2), given, LEVELS, DRIVES, CONSTANTS)
+    forth, back = (
+        motions(end, speeds, signals(seed), LEVELS, DRIVES, CONSTANTS)
+        for end, speeds in ((start, begin), (goal, REST))
+    )
+    return forth, back
 
 
 @pytest.mark.parametrize("motions", [half_motions, plain_half_motions])
-@pytest.mark.parametrize("begin", [np.zeros(2), np.array([70.0, -100.0])])
+@pytest.mark.parametrize("begin", [REST, np.array([70.0, -100.0])])
 def test_states_are_those_of_the_solver_along_the_knots(motions, begin: Vector) -> None:
     assert compiled()
-    start, _ = states(1)
-    found = motions(start, begin, signals(1), LEVELS, DRIVES, CONSTANTS)
+    found, _ = both_sides(1, begin, motions)
     knots = knots_of(signals(1), LEVELS, begin, DRIVES)
     durations = np.full(LEVELS, DRIVES.period)
-    state = without_momentum(start)
+    state = without_momentum(found.end)
     for i in range(0, COUNT, 16):
         expected = roll_out(state, knots[:, :, i], durations, CONSTANTS, DRIVES.period)
         np.testing.assert_allclose(found.states[:, :, i], expected[:, :6], atol=ROUNDING)
@@ -80,7 +81,7 @@ def test_knots_satisfy_the_limits(ramp: float) -> None:
 
 
 def test_both_find_the_same_meetings() -> None:
-    forth, back = both_sides(3, np.zeros(2))
+    forth, back = both_sides(3)
     found, plain = (
         each(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, turn_weight=2.0)
         for each in (meet, plain_meet)
@@ -94,9 +95,9 @@ def test_both_find_the_same_meetings() -> None:
 
 
 def test_pair_that_meets_is_a_motion_to_the_goal() -> None:
-    forth, back = both_sides(4, np.zeros(2))
+    forth, back = both_sides(4)
     found = meet(forth, back, range(4, 2 * LEVELS), 10, 0.25, SPEED, turn_weight=2.0)
-    knots = knots_of(signals(4), LEVELS, np.zeros(2), DRIVES)
+    knots = knots_of(signals(4), LEVELS, REST, DRIVES)
     for i in np.argsort(found.scores)[:5]:
         j, periods = found.partners[i], int(found.periods[i])
         before, after = (periods + 1) // 2, periods // 2

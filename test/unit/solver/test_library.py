@@ -1,38 +1,35 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled solver as it is loaded, and the memory that Python shares with it."""
+"""The compiled solver as it is loaded, the plain one in its place, and the sanitisers of C."""
 
 import os
+import platform
+import shutil
 import subprocess
 import sys
-from dataclasses import fields
+from pathlib import Path
 
-import numpy as np
 import pytest
+import sanitized_runs
 from compiled_solver import compiled
+from patience import PATIENCE
 
 from sphere_nmpc.solver.native import layout, library
 from sphere_nmpc.solver.native.layout import MEMBERS
-from sphere_nmpc.solver.problem import SolverSettings
 
 SOLVE = """
 import numpy as np
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.solver.problem import LeastSquaresProblem, SolverSettings
+from solver_problems import make_problem
+from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.solve import solve
-problem = LeastSquaresProblem(
-    state=np.array([0.3, -0.2, 1.0, 0, 0, 0, 0, 0, 0]), goal=np.array([0, 0, 1.0, 0, 0, 0]),
-    input_in_force=np.zeros(2), durations=np.full(4, 0.5),
-    constants=RobotParameters().lumped.as_array(), lower=np.full((4, 2), -100.0),
-    upper=np.full((4, 2), 100.0), input_scale=100.0, input_weight=5e-5,
-)
 for _ in range(2):
-    solution = solve(problem, np.zeros((4, 2)), SolverSettings())
+    solution = solve(make_problem("terminal"), np.zeros((5, 2)), SolverSettings())
 print(f"{solution.cost:.9e}")
 """
 
 
 def solve(**environment):
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
     done = subprocess.run(
         [sys.executable, "-c", SOLVE], env={**os.environ, **environment}, capture_output=True,
         text=True, check=True,
@@ -56,16 +53,51 @@ def test_library_that_is_missing_or_of_another_layout_is_not_used(monkeypatch, t
         library._loaded()
 
 
-@pytest.mark.parametrize("kind", ["stages and acceleration", "minimum time"])
-def test_slot_writes_each_value_to_its_own_place(make_problem, kind):
-    problem = make_problem(kind, max_step=0.07)
-    rng = np.random.default_rng(0)
-    start, settings = rng.normal(size=(problem.intervals, 2)), SolverSettings(7, 0.1, 0.2, 0.3)
-    slot = library.Slot(compiled(), type(problem), problem.intervals)
-    slot.solve(problem, start, settings, 0.25)
-    for given in (problem, settings):
-        for field in fields(given):
-            value = getattr(given, field.name)
-            assert np.array_equal(slot.values[field.name], value), field.name
-    assert np.array_equal(slot.values["start"], start)
-    assert slot.values["time_budget"] == 0.25
+RUNS = Path(sanitized_runs.__file__)
+OPTIONS = (
+    "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O0 -std=gnu11 "
+    "-march=native -ffp-contract=fast -fno-math-errno -Wno-psabi -shared -fPIC"
+)
+RUNTIMES = {
+    "libasan.so": OPTIONS,
+    f"libclang_rt.asan-{platform.machine()}.so": f"{OPTIONS} -shared-libasan",
+}
+"""Runtime library of the address sanitiser of GCC and of Clang, and their options."""
+
+
+@pytest.fixture(scope="module")
+def sanitizers(tmp_path_factory):
+    """Return a folder with the solver built with sanitisers, and the variables of a process."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+    folder = tmp_path_factory.mktemp("sanitizers")
+    sanitized_runs.write_sources(folder)
+    for name, options in RUNTIMES.items():
+        printed = subprocess.run(
+            [compiler, f"-print-file-name={name}"], capture_output=True, text=True, check=True
+        )
+        runtime = printed.stdout.strip()
+        command = [compiler, *options.split(), "solver.c", "-o", "solver.so", "-lm"]
+        if Path(runtime).is_absolute():
+            subprocess.run(command, check=True, cwd=folder)
+            # The interpreter frees little of its memory at its end.
+            return folder, {"LD_PRELOAD": runtime, "ASAN_OPTIONS": "detect_leaks=0"}
+    pytest.skip("the C compiler has no sanitisers")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_faulty", [False, True], ids=["as it is", "with a fault put in"])
+def test_solves_and_roll_outs_break_no_rule_of_the_language(sanitizers, is_faulty):
+    folder, environment = sanitizers
+    if is_faulty:
+        environment = {**environment, "SOLVER_FAULT": "1"}
+    done = subprocess.run(
+        [sys.executable, str(RUNS), str(folder)], env={**os.environ, **environment},
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )
+    is_told = "AddressSanitizer" in done.stderr or "runtime error" in done.stderr
+    if is_faulty:
+        assert done.returncode != 0 and is_told, done.stderr
+    else:
+        assert done.returncode == 0 and done.stdout.endswith("all done\n"), done.stderr

@@ -1,5 +1,7 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
+"""Roll-outs: derivatives, both solvers, invariants and order of convergence."""
+
 import numpy as np
 import pytest
 from compiled_solver import compiled
@@ -26,13 +28,9 @@ any_world = pytest.mark.parametrize(
 )
 
 
-def predict(*arguments):
-    assert compiled()
-    return roll_out(*arguments)
-
-
 def hold(intervals, momentum):
     """Return a state, knots [rad/s] and interval lengths [s]."""
+    assert compiled()
     rng = np.random.default_rng(3)
     q = rng.normal(size=4)
     state = np.concatenate((rng.uniform(-1.0, 1.0, 2), q / np.linalg.norm(q), momentum))
@@ -41,42 +39,34 @@ def hold(intervals, momentum):
 
 
 @any_world
-def test_agrees_with_the_plain_solver(momentum, disturbance):
-    state, inputs, durations = hold(5, momentum)
-    states = predict(state, inputs, durations, CONSTANTS, MAX_STEP, disturbance)
-    torques = disturbance.as_array()
-    right = plain.shoot(state, torques, inputs, durations, CONSTANTS, MAX_STEP).states
-    assert states.shape == (6, 9)
+def test_derivatives_are_those_of_differences_and_of_the_plain_solver(momentum, disturbance):
+    state, inputs, durations = hold(3, momentum)
+    arguments = inputs, durations, CONSTANTS, MAX_STEP
+    found, torques = propagate(state, *arguments, disturbance), disturbance.as_array()
+    for ours, right in zip(found, plain.propagate(state, torques, *arguments), strict=True):
+        np.testing.assert_allclose(ours, right, atol=1e-10)
+    states = roll_out(state, *arguments, disturbance)
+    right = plain.shoot(state, torques, *arguments).states
+    assert states.shape == (4, 9)
     np.testing.assert_allclose(states[:, :6], right[:, :6], atol=ROUNDING)
     np.testing.assert_allclose(states[:, 6:], right[:, 6:], atol=100.0 * ROUNDING)
 
-
-@any_world
-def test_derivatives_are_those_of_differences_and_of_the_plain_solver(momentum, disturbance):
-    state, inputs, durations = hold(3, momentum)
-    assert compiled()
-    found = propagate(state, inputs, durations, CONSTANTS, MAX_STEP, disturbance)
-    torques = disturbance.as_array()
-    right = plain.propagate(state, torques, inputs, durations, CONSTANTS, MAX_STEP)
-    for ours, theirs in zip(found, right, strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-10)
-
-    def moved(error, constants, torques):
-        changed = Disturbance.from_array(disturbance.as_array() + torques)
+    def moved(part, change):
+        """Return the error of the end where state, constants or torques are changed."""
+        error, constants, other = (
+            change if part == k else np.zeros(n) for k, n in enumerate((8, 4, 5))
+        )
+        changed = Disturbance.from_array(torques + other)
         start, p = apply_error(state, error), CONSTANTS + constants
         end = roll_out(start, inputs, durations, p, MAX_STEP, changed)[-1]
         return error_between(found.state, end)
 
-    zeros = np.zeros(8), np.zeros(4), np.zeros(5)
     for part, derivative in enumerate(found[1:]):
-        for index in range(derivative.shape[1]):
-            ends = []
-            for side in (DIFFERENCE, -DIFFERENCE):
-                change = [zero.copy() for zero in zeros]
-                change[part][index] = side
-                ends.append(moved(*change))
-            expected = (ends[0] - ends[1]) / (2.0 * DIFFERENCE)
-            np.testing.assert_allclose(derivative[:, index], expected, rtol=1e-6, atol=1e-6)
+        for column, change in zip(
+            derivative.T, DIFFERENCE * np.eye(derivative.shape[1]), strict=True
+        ):
+            expected = (moved(part, change) - moved(part, -change)) / (2.0 * DIFFERENCE)
+            np.testing.assert_allclose(column, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_rotors_that_hold_the_momentum_keep_the_sphere_at_rest():
@@ -84,7 +74,7 @@ def test_rotors_that_hold_the_momentum_keep_the_sphere_at_rest():
     # Perpendicular to the body's z axis, which the rotors cannot hold.
     state[6:] = np.cross(rotation.matrix(state[2:6])[:, 2], PUSHED)
     inputs = np.tile(rest_speeds(state[6:], state[2:6]), (6, 1))
-    states = predict(state, inputs, durations, CONSTANTS, MAX_STEP)
+    states = roll_out(state, inputs, durations, CONSTANTS, MAX_STEP)
     assert np.allclose(states, state, atol=ROUNDING)
 
 
@@ -92,9 +82,9 @@ def test_rotors_that_hold_the_momentum_keep_the_sphere_at_rest():
 def test_interval_of_no_length_changes_the_speeds_alone(momentum, disturbance):
     state, inputs, durations = hold(3, momentum)
     durations[1] = 0.0
-    states = predict(state, inputs, durations, CONSTANTS, MAX_STEP, disturbance)
+    states = roll_out(state, inputs, durations, CONSTANTS, MAX_STEP, disturbance)
     assert np.allclose(states[2], states[1], atol=ROUNDING)
-    after = predict(states[2], inputs[2:], durations[2:], CONSTANTS, MAX_STEP, disturbance)
+    after = roll_out(states[2], inputs[2:], durations[2:], CONSTANTS, MAX_STEP, disturbance)
     assert np.allclose(states[2:], after, atol=ROUNDING)
 
 
@@ -103,7 +93,7 @@ def test_halving_the_step_gains_four_orders(momentum, disturbance):
     state, inputs, _ = hold(4, momentum)
     durations = np.full(4, 0.5)
     coarse, fine, truth = (
-        predict(state, inputs, durations, CONSTANTS, 0.5 / steps, disturbance)
+        roll_out(state, inputs, durations, CONSTANTS, 0.5 / steps, disturbance)
         for steps in (8, 16, 128)
     )
     # Order four: a factor of 16; between 8 and 32 no other order fits.

@@ -1,0 +1,86 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""History of the rotor speeds sent, and rotors that fall behind them, late or weak."""
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.estimation.motion import Interval
+from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import Vector
+
+LIMIT = 300.0
+STEP = 1e-5
+
+
+def ramp(start: float, first: list[float], last: list[float], length: float) -> FirstOrderHold:
+    return FirstOrderHold(np.array([start, start + length]), np.array([first, last], dtype=float))
+
+
+def at(times: Vector, durations: Vector, speeds: Vector, start: float = 0.0) -> Vector:
+    """Return the speeds, (n, 2), at times of straight pieces of given durations."""
+    ends = start + np.concatenate(([0.0], np.cumsum(durations)))
+    return np.column_stack([np.interp(times, ends, column) for column in speeds.T])
+
+
+def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces_later_ones():
+    sent = SentInputs()
+    sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))
+    sent.record(ramp(1.5, [5, 10], [0, 0], 0.5))
+    np.testing.assert_allclose([sent.at(t)[0] for t in (0.5, 1.25, 1.75, 9.0)], [0, 2.5, 2.5, 0])
+    sent.record(FirstOrderHold.constant(1.2, np.array([1.0, 1.0])))
+    np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
+    late = ramp(2.0, [1, 1], [3, 3], 0.5)
+    sent.record(late)
+    sent.withdraw(late)
+    np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
+    sent.record(ramp(4.0, [1, 1], [0, 0], 1.0))
+    assert sent.moves_after(4.9) and not sent.moves_after(5.0)
+    sent.clear()
+    assert not sent.moves_after(0.0)
+
+
+def test_pieces_are_the_speeds_in_force() -> None:
+    rng, sent, now = np.random.default_rng(5), SentInputs(), 0.0
+    for _ in range(40):
+        now += float(rng.choice([0.002, 0.01, 0.25]))
+        # Some holds have knots before the next one begins.
+        times = now + np.concatenate(([0.0], np.cumsum(rng.uniform(1e-3, 0.02, 3))))
+        speeds = np.vstack((sent.at(now), rng.uniform(-100.0, 100.0, (3, 2))))
+        sent.record(FirstOrderHold(times, speeds))
+    for start, end in ((-0.5, 0.0), (-0.5, now), (0.3 * now, 0.31 * now), (0.5 * now, now + 1.0)):
+        durations, speeds = sent.pieces(start, end)
+        assert start + np.sum(durations) == pytest.approx(end) and np.all(durations > 0.0)
+        times = rng.uniform(start, end, 50)
+        expected = [sent.at(t) for t in times.tolist()]
+        np.testing.assert_allclose(at(times, durations, speeds, start), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_rotors_fall_behind_and_catch_up_as_simulated(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    durations, inputs = rng.uniform(0.05, 0.25, 8), rng.uniform(-100.0, 100.0, (9, 2))
+    raw = Interval(np.array([1.0]), np.zeros((1, 6)), durations, inputs)
+    driven = raw.driven(LIMIT)
+    times = np.arange(0.0, np.sum(durations) + 0.5 * STEP, STEP)
+    followed, reach = [inputs[0]], LIMIT * STEP
+    for wanted in at(times, durations, inputs)[1:]:
+        followed.append(np.clip(wanted, followed[-1] - reach, followed[-1] + reach))
+    found = at(times, driven.durations, driven.inputs)
+    # A step of the simulation at the limit, and one of the steepest ramp.
+    assert np.max(np.abs(found - np.array(followed))) < 2.0 * STEP * 200.0 / 0.05
+    slopes = np.diff(driven.inputs, axis=0) / driven.durations[:, None]
+    assert np.max(np.abs(slopes)) <= LIMIT * (1.0 + 1e-6)
+    assert np.array_equal(raw.driven(raw.steepest).inputs, inputs)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.04])
+def test_window_is_shifted_by_the_lag_and_ends_at_the_poses(lag: float) -> None:
+    durations, inputs = np.array([0.2, 0.3, 0.5]), np.array([[0.0, 1], [2, 3], [8, 0], [3, 5.0]])
+    after = np.array([0.1, 0.35, 0.6])
+    pieces, speeds, poses = Interval(after, np.zeros((3, 6)), durations, inputs, 0.4).window(lag)
+    times = np.concatenate(([0.0], np.cumsum(pieces)))
+    np.testing.assert_allclose(times[poses], after)
+    np.testing.assert_allclose(speeds, at(0.4 - lag + times, durations, inputs), atol=1e-12)
+    assert 0.1 + lag in np.round(times, 12), "the knot within"

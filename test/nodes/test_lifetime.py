@@ -50,9 +50,9 @@ def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
 
         graph.until(pass_time)
         for _ in range(2):
-            controller.send_signal(signal.SIGINT)
+            controller.send(signal.SIGINT)
             graph.spin_for(0.02)
-        graph.until(lambda: controller.poll() is not None)
+        graph.until(lambda: controller.code is not None)
         graph.until(lambda: not np.any(commands[-1].data))
     sent = map(serialize_message, trajectories[-2:])
     before, last = (hold_and_stamp(message, 0)[0] for message in sent)

@@ -59,8 +59,7 @@ def test_robot_in_a_namespace_is_one_of_its_own_and_both_reach_their_goals(graph
     own = {"simulator: clock", "simulator: commands", "controller: solver", "controller: loop"}
     assert reported() == own | {f"second/{name}" for name in own}
     for node in (first, second):
-        output = node.stderr.read()
-        assert "clock jumped" not in output and "other publisher" not in output
+XX
 
 
 def test_every_message_is_in_the_frame_that_is_set(graph) -> None:

@@ -73,11 +73,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def graph(request: pytest.FixtureRequest) -> Iterator["Graph"]:
     """Return a new graph of nodes; a parameter, if there is one, is the arguments for rclpy."""
     pytest.importorskip("rclpy")
-    from ros_graph import Graph
+    from ros_graph import running_graph
 
-    graph = Graph(getattr(request, "param", None))
-    yield graph
-    graph.close()
+    with running_graph(getattr(request, "param", None)) as graph:
+        yield graph
 
 
 @pytest.fixture(autouse=True)

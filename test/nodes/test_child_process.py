@@ -1,20 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes are killed, stopped, restarted and ended together, and their output is kept."""
+"""Child processes are killed, stopped, started again and ended together, or with their parent."""
 
+import os
 import re
 import signal
 import subprocess
 import sys
 import textwrap
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
-from patience import PATIENCE
+from children import wait_for_end
+from patience import PATIENCE, until
 
-from sphere_nmpc.child import END_SIGNALS, Child, ChildEndedError
+from sphere_nmpc.child import END_SIGNALS, Child, ChildEndedError, python_command
 from sphere_sim.ros.session.process_set import ProcessSet
 
 pytestmark = pytest.mark.slow
@@ -31,8 +33,6 @@ if "spawning" in words:
     line += ["child", str(subprocess.Popen(["sleep", "60"]).pid)]
 sys.stdout.write(" ".join(line) + "\\n")  # in one piece, also where unbuffered
 sys.stdout.flush()
-if "fail" in words:
-    raise ValueError("on demand")
 time.sleep(60)
 """
 
@@ -40,17 +40,9 @@ time.sleep(60)
 @pytest.fixture
 def process(tmp_path) -> Iterator[Child]:
     """Return a process that prints that it is up, and then waits."""
-    command = [sys.executable, "-c", WAITING]
-    process = Child(command, "waiting", tmp_path / "waiting.log")
+    process = Child([sys.executable, "-c", WAITING], "waiting", tmp_path / "waiting.log")
     yield process
     process.kill()
-
-
-def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.02)
 
 
 def start(process: Child, *extra: str) -> None:
@@ -80,9 +72,8 @@ def test_process_that_ignores_sigint_and_sigterm_is_killed(process) -> None:
 
 def test_kill_ends_what_the_process_has_started(process) -> None:
     start(process, "spawning")
-    grandchild = psutil.Process(int(process.output.split()[-1]))
     process.kill()
-    until(lambda: not grandchild.is_running() or grandchild.status() == psutil.STATUS_ZOMBIE)
+    wait_for_end([int(process.output.split()[-1])])
 
 
 def test_unexpected_end_of_a_verb_quotes_its_output(tmp_path) -> None:
@@ -136,25 +127,59 @@ def test_no_process_survives_a_signal_while_it_is_being_ended(tmp_path, inside, 
     command = [sys.executable, "-c", program, str(tmp_path), str(tmp_path / "slow.py"), *numbers]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert "KeyboardInterrupt" in done.stderr
-    pid = int(done.stdout)
-    assert not psutil.pid_exists(pid), "not waited for"
+    assert not psutil.pid_exists(int(done.stdout)), "not waited for"
 
 
-def test_verb_can_be_ended_though_its_parent_ignores_signals_and_ends_with_it(tmp_path) -> None:
-    program = (
-        "import signal, sys\nfrom pathlib import Path\n"
-        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        "from sphere_sim.ros.session.process_set import ProcessSet\n"
-        "processes = ProcessSet(Path(sys.argv[1]))\n"
-        "node = processes.start('simulator')\n"
-        "while 'ROS domain' not in node.output: pass\n"
-        "node.send(signal.SIGINT)\nnode.wait(60.0)\nnode.start()\n"
-        "print(node.pid, flush=True)\n"
-        "import os, signal; os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    command = [sys.executable, "-c", program, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-    assert done.returncode == -signal.SIGKILL
-    node = psutil.Process(int(done.stdout)) if psutil.pid_exists(int(done.stdout)) else None
-    until(lambda: node is None or not node.is_running()
-          or node.status() == psutil.STATUS_ZOMBIE)
+PARENTS = {
+    "of a verb, which ignores signals": """
+        import signal, sys
+        from pathlib import Path
+        from sphere_sim.ros.session.process_set import ProcessSet
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        node = ProcessSet(Path(sys.argv[1])).start("simulator")
+        while "ROS domain" not in node.output: pass
+        node.send(signal.SIGINT)
+        node.wait(60.0)
+        tell(node.start().pid)
+    """,
+    "of a worker": """
+        from sphere_nmpc.worker.process import WorkerProcess
+        worker = WorkerProcess(print)
+        tell(worker.pid)
+    """,
+    "of a busy study": """
+        import psutil
+        from sphere_sim.study.workers import Workers
+        runs = Workers(2).run(time.sleep, [(0, (0,)), (1, (3600,)), (2, (3600,))], "nap")
+        next(runs)
+        tell(*(child.pid for child in psutil.Process().children()))
+    """,
+    "of tests": """
+        import importlib.util, os, subprocess, sys
+        spec = importlib.util.spec_from_file_location("conftest", sys.argv[2])
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+        waiting = [sys.executable, "-c", "import time; time.sleep(1000)"]
+        tell(subprocess.Popen(waiting, start_new_session=True).pid,
+             subprocess.Popen(waiting, preexec_fn=lambda: os.nice(1)).pid)
+    """,
+}
+TELL = """
+import time
+def tell(*pids):
+    print(*pids, flush=True)
+    time.sleep(3600)
+"""
+CONFTEST = str(Path(__file__).parents[1] / "conftest.py")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a signal of Linux")
+@pytest.mark.parametrize("parent", PARENTS)
+def test_no_process_outlives_a_parent_that_is_killed(tmp_path, parent) -> None:
+    program = f"exec({TELL + textwrap.dedent(PARENTS[parent])!r})"
+    command = python_command(program, str(tmp_path), CONFTEST)
+    process = Child(command, log=tmp_path / "parent.log").start()
+    until(lambda: process.output.endswith("\n") or not process.running)
+    os.kill(process.pid, signal.SIGKILL)
+    pids = list(map(int, process.output.split()))
+    assert pids
+    wait_for_end(pids)

@@ -1,13 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The command: its verbs, and one line and an exit code after any error, signal or lost output."""
+"""The command: one line and an exit code after any error, signal or lost output."""
 
 import os
 import signal
 import subprocess
 import sys
-import textwrap
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -20,8 +20,6 @@ from sphere_sim.output.error_text import in_words
 
 pytestmark = pytest.mark.slow
 
-LONG = 2.0 * PATIENCE
-"""How long a process waits for a signal [s]; longer than the test waits for its end."""
 COMMAND = """
 import sys
 from sphere_sim.cli import main as cli
@@ -29,15 +27,23 @@ cli.VERBS["roll"] = ("a_verb", "roll the sphere")
 sys.path.insert(0, sys.argv.pop(1))
 sys.exit(cli.main())
 """
+WAITING = """
+import time
+def wait():
+    print("up", flush=True)
+    while True:  # a handler does not run while a sleep lasts that began just after the signal came
+        time.sleep(0.05)
+"""
+Roll = Callable[..., subprocess.Popen[str]]
 
 
 @pytest.fixture
-def roll(tmp_path):
+def roll(tmp_path) -> Iterator[Roll]:
     """Return a function that starts the verb `roll`, from its source; it ends with the test."""
     running = []
 
-    def start(source: str, *arguments: str, **options) -> subprocess.Popen:
-        (tmp_path / "a_verb.py").write_text(textwrap.dedent(source))
+    def start(source: str, *arguments: str, **options) -> subprocess.Popen[str]:
+        (tmp_path / "a_verb.py").write_text(source)
         command = [sys.executable, "-c", COMMAND, str(tmp_path), "roll", *arguments]
         options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
         running.append(subprocess.Popen(command, **options))
@@ -49,7 +55,7 @@ def roll(tmp_path):
         process.wait()
 
 
-def raising(error: BaseException):
+def raising(error: BaseException) -> Callable[[], int]:
     def call() -> int:
         raise error
 
@@ -90,62 +96,49 @@ def test_traceback_is_shown_on_request(roll) -> None:
     assert "Traceback" in message and message.endswith("(--debug shows where)\n")
 
 
-WAITING = """
-import time
-{during_import}
+INTERRUPTED = "sphere_nmpc roll: interrupted\n"
+IN_VERB = WAITING + "def main(argv): wait()"
+IN_FINALISER = WAITING + """
+class Slow:
+    def __del__(self): wait()
+
 def main(argv):
-    print('up', flush=True)
-    {call}
+    x = Slow()
+    del x
+    wait()
 """
 
 
-def interrupted(process: subprocess.Popen, number: int = signal.SIGINT) -> tuple[int, str]:
-    """Return exit code and standard error of a process that gets a signal once it has started."""
+@pytest.mark.parametrize(
+    ("source", "number", "message"),
+    [(WAITING + "wait()", signal.SIGINT, ""), (IN_FINALISER, signal.SIGINT, INTERRUPTED),
+     *((IN_VERB, number, INTERRUPTED) for number in END_SIGNALS)],
+    ids=["while modules are loaded", "in a finaliser", *(number.name for number in END_SIGNALS)],
+)
+def test_signal_is_one_line_after_the_begin_of_the_work(roll, source, number, message) -> None:
+    process = roll(source)
     assert process.stdout.readline() == "up\n"
     process.send_signal(number)
-    _, message = process.communicate(timeout=PATIENCE)
-    return process.returncode, message
-
-
-def test_signal_while_modules_are_loaded_is_silent(roll) -> None:
-    source = WAITING.format(during_import="print('up', flush=True); time.sleep(240)", call="pass")
-    assert interrupted(roll(source)) == (130, "")
-
-
-@pytest.mark.parametrize("number", END_SIGNALS)
-def test_signal_is_one_line(roll, number) -> None:
-    source = WAITING.format(during_import="", call=f"time.sleep({LONG})")
-    message = "sphere_nmpc roll: interrupted\n"
-    assert interrupted(roll(source), number) == (128 + number, message)
-
-
-def test_signal_in_a_finaliser_is_repeated(roll) -> None:
-    cls = f"class Slow:\n    def __del__(self): print('up', flush=True); time.sleep({LONG})\n"
-    source = WAITING.format(during_import=cls, call=f"x = Slow(); del x; time.sleep({LONG})")
-    source = source.replace("print('up', flush=True)\n    x", "x")
-    assert interrupted(roll(source)) == (130, "sphere_nmpc roll: interrupted\n")
+    assert process.communicate(timeout=PATIENCE)[1] == message
+    assert process.returncode == 128 + number
 
 
 COUNTING = """
 import signal
-import time
 {prepared}
 
 def main(argv):
-    end = time.monotonic() + 600.0
-    while time.monotonic() < end:
+    while True:
         # The next signal is sent once this line is read; it must not arrive before the `try`.
         signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})
         print("up", flush=True)
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {{signal.SIGINT}})
-            while time.monotonic() < end:
+            while True:
                 {call}
         except KeyboardInterrupt:
             pass
 """
-
-
 STEPS = """
 import numpy as np
 from sphere_nmpc.model.integrator import step_function
@@ -186,22 +179,18 @@ def main(argv):
 """
 
 
-def test_reader_that_ends_does_not_stop_the_work(roll, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("disk", "code", "told"),
+    [(False, 0, ""), (True, 1, "sphere_nmpc: standard output: No space left on device\n")],
+    ids=["reader that has ended", "full disk"],
+)
+def test_output_that_is_lost_does_not_stop_the_work(roll, tmp_path, disk, code, told) -> None:
     inlet, outlet = os.pipe()
     os.close(inlet)
-    process = roll(PRINTING, str(tmp_path / "result"), stdout=outlet)
-    os.close(outlet)
+    with Path("/dev/full").open("w") as full, open(outlet, "w") as closed:
+        process = roll(PRINTING, str(tmp_path / "result"), stdout=full if disk else closed)
     _, message = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, message) == (0, "")
-    assert (tmp_path / "result").exists()
-
-
-def test_full_disk_of_standard_output_is_reported_after_the_work(roll, tmp_path) -> None:
-    with Path("/dev/full").open("w") as full:
-        process = roll(PRINTING, str(tmp_path / "result"), stdout=full)
-        _, message = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1
-    assert message == "sphere_nmpc: standard output: No space left on device\n"
+    assert (process.returncode, message) == (code, told)
     assert (tmp_path / "result").exists()
 
 

@@ -1,11 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo: its arguments, its results, and the end of its processes."""
+"""The demo: its arguments, its results, its page, and the end of its processes."""
 
 import json
+import os
 import re
+import select
 import signal
 import subprocess
+import time
+import urllib.request
 
 import numpy as np
 import psutil
@@ -134,13 +138,32 @@ def test_signal_leaves_no_process_and_a_readable_bag(tmp_path) -> None:
 
 
 @pytest.mark.slow
-def test_nodes_end_with_a_demo_that_is_killed(tmp_path) -> None:
-    with subprocess.Popen(
-        [*DEMO, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True
-    ) as process:
-        wait_for_progress(process, 0.0)
-        nodes = psutil.Process(process.pid).children(recursive=True)
-        assert len(nodes) == 4, "three nodes, and the controller's worker"
-        process.kill()
-    _, alive = psutil.wait_procs(nodes, timeout=PATIENCE)
-    assert not alive
+def test_demo_shows_its_page_and_runs_on_until_enter(tmp_path) -> None:
+    pytest.importorskip("viser")
+    own, other = os.openpty()
+    demo = subprocess.Popen(
+        verb_command("demo", "--case", "3", "--no-compare", "--out", str(tmp_path / "out")),
+        stdin=other, stdout=other, stderr=other,
+        env={**os.environ, "TERM": "dumb", "COLUMNS": "200"},
+    )
+    os.close(other)
+    output, end = "", time.monotonic() + PATIENCE
+    try:
+        while "the nodes run on" not in output:
+            assert time.monotonic() < end and demo.poll() is None, output
+            if select.select([own], [], [], 0.1)[0]:
+                output += os.read(own, 65536).decode(errors="replace")
+        children = psutil.Process(demo.pid).children(recursive=True)
+        assert len(children) == 4, "three nodes, as the recording is over, and a worker"
+        assert (tmp_path / "out" / "summary.json").exists()
+        address = re.search(r"http://127\.0\.0\.1:\d+/\?token=[\w-]+(?=[\s\x1b])", output).group()
+        with urllib.request.urlopen(address, timeout=PATIENCE) as page:
+            assert page.status == 200
+        os.write(own, b"\n")
+        assert demo.wait(PATIENCE) == 0
+    finally:
+        if demo.poll() is None:
+            demo.terminate()
+            demo.wait(PATIENCE)
+        os.close(own)
+    assert not [child for child in children if child.is_running()]

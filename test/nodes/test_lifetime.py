@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE
 from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
+from ros_graph import started
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -22,26 +23,16 @@ from trajectory_msgs.msg import JointTrajectory
 from sphere_nmpc.ros.cdr import hold_and_stamp
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments
+from sphere_sim.ros.session.process_set import verb_command
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 pytestmark = pytest.mark.slow
 
 CASE = PAPER_CASES[1]
-CONTROLLER = "import sys; from sphere_nmpc.ros.controller.node import main; sys.exit(main())"
-
-
-def start(code: str, *arguments: str) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, "-c", code, "--ros-args", *arguments], text=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )
-
-
 def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
     trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
     commands = graph.collect(Float64MultiArray, "rotor_commands")
-    controller = start(CONTROLLER, "-p", "use_sim_time:=true", "-p", "strategy:=paper")
-    try:
+    with started("controller", "-p", "use_sim_time:=true", "-p", "strategy:=paper") as controller:
         goals = graph.publisher(PoseStamped, "goal_pose")
         poses = graph.publisher(PoseStamped, "pose")
         clock = graph.publisher(Clock, "/clock")
@@ -59,14 +50,10 @@ def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
 
         graph.until(pass_time)
         for _ in range(2):
-            controller.send_signal(signal.SIGINT)
+            controller.send(signal.SIGINT)
             graph.spin_for(0.02)
-        graph.until(lambda: controller.poll() is not None)
-        assert controller.returncode == 0
+        graph.until(lambda: controller.code is not None)
         graph.until(lambda: not np.any(commands[-1].data))
-    finally:
-        controller.kill()
-        controller.wait()
     sent = map(serialize_message, trajectories[-2:])
     before, last = (hold_and_stamp(message, 0)[0] for message in sent)
     assert not last.speeds[-1].any()
@@ -84,11 +71,11 @@ def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
     ],
 )
 def test_wrong_parameter_ends_the_node_with_one_line(arguments, words) -> None:
-    node = start(CONTROLLER, *arguments)
-    _, errors = node.communicate(timeout=PATIENCE)
+    node = subprocess.run(verb_command("controller", "--ros-args", *arguments),
+                          stderr=subprocess.PIPE, text=True, timeout=PATIENCE)
     assert node.returncode == 2
-    assert len(errors.strip().splitlines()) == 1
-    assert re.search(words, errors)
+    (line,) = node.stderr.splitlines()
+    assert re.search(words, line)
 
 
 @pytest.mark.parametrize(

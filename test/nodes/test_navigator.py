@@ -1,13 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Actions of the navigator with simulator and controller as processes; each of them is killed."""
+"""Goals of clients with simulator, controller and navigator as processes; each of them is killed.
 
-import importlib.machinery
+The protocol of goals is tested in test/unit/control/test_goal_client.py, and under faults by the
+campaign.
+"""
+
+import importlib.util
+import os
 import re
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 
 import navigation_messages
@@ -16,10 +21,15 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from navigation_client import drawn, pose
 from navigation_session import AT_REST, Session
+from patience import PATIENCE
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from ros_graph import running_graph
 
 from sphere_sim.ros.session.process_set import ProcessSet, verb_command
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "when_it_does_not_move.md"
+ROOT = Path(__file__).parents[2]
+DOCUMENT = ROOT / "docs" / "when_it_does_not_move.md"
 ROWS = [
     re.compile(".*".join(map(re.escape, row.split("…"))))
     for row in re.findall(r"^\| ([^|]+?) \|", DOCUMENT.read_text("utf-8"), re.MULTILINE)
@@ -27,31 +37,32 @@ ROWS = [
 """Patterns of the documented warnings."""
 
 
-@pytest.fixture
-def begun(graph, tmp_path, monkeypatch) -> Iterator[Callable[..., Session]]:
-    """Return a function that starts a session with parameters of the navigator."""
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Iterator[Session]:
     navigation_messages.provide()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # the stored goal
-    with ProcessSet(tmp_path) as processes:
-        yield partial(Session, graph, processes)
-    log = (tmp_path / "navigator.log").read_text()
+    folder = tmp_path_factory.mktemp("session")
+    with pytest.MonkeyPatch.context() as patch, running_graph() as graph:
+        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))  # the stored goal
+        with ProcessSet(folder) as processes:
+            yield Session(graph, processes)
+    log = (folder / "navigator.log").read_text()
     for warning in re.findall(r"\[WARN\] \S+ \[navigator\]: (.*)", log):
         assert any(row.match(warning) for row in ROWS), warning
 
 
 @pytest.mark.slow
-def test_goals_cancels_and_takeovers_have_one_right_end_each(begun) -> None:
-    session, rng = begun(), np.random.default_rng(1)
+def test_goals_cancels_and_takeovers_have_one_right_end_each(session) -> None:
+    rng = np.random.default_rng(1)
     client, graph = session.client, session.graph
     others = graph.publisher(PoseStamped, "goal_pose")
-    for _ in range(5):
+    for _ in range(2):
         assert client.wait(client.send(drawn(rng))) == ["succeeded"]
-    for _ in range(5):
+    for _ in range(3):
         sent = client.send(drawn(rng))
         graph.spin_for(rng.uniform(0.0, 0.5))
         assert client.wait(sent) == ["canceled" if client.cancel(sent) else "succeeded"]
         assert session.way_at_rest() < AT_REST
-    for number in range(5):
+    for number in range(2):
         first = client.send(pose(2.0 - 4.0 * (number % 2), 0.0))
         graph.spin_for(rng.uniform(0.0, 0.3))
         seen = len(session.statuses)
@@ -66,28 +77,16 @@ def test_goals_cancels_and_takeovers_have_one_right_end_each(begun) -> None:
     assert "refused" not in session.log("navigator")
 
 
+def set_floor(session: Session, corners: str) -> None:
+    given = [Parameter("floor", value=corners).to_parameter_msg()]
+    request = SetParameters.Request(parameters=given)
+    answer = session.graph.call(SetParameters, "controller/set_parameters", request)
+    assert answer.results[0].successful
+
+
 @pytest.mark.slow
-def test_goal_off_the_floor_is_aborted_and_as_a_waypoint_missed(begun) -> None:
-    session = begun(floor="'[[-2, -2], [2, -2], [2, 2], [-2, 2]]'")  # a text in YAML
+def test_goal_that_cannot_be_followed_is_rejected_aborted_or_missed(session) -> None:
     client, outside = session.client, pose(100.0, 100.0)
-    sent = client.send(outside)
-    assert client.wait(sent) == ["aborted"]
-    assert "gives up the goal: it is outside of the floor" in sent.reason
-    assert sent.result.result().result.error_code == 204
-    left = sent.feedback[-1].feedback
-    assert left.distance_remaining == pytest.approx(np.hypot(100.0, 100.0), abs=0.1)
-    assert left.estimated_time_remaining.sec > 100
-    sent = client.send(pose(0.4, 0.0), outside, pose(0.0, 0.0), name="follow_waypoints")
-    assert client.wait(sent) == ["succeeded"]
-    result = sent.result.result().result
-    assert [(one.index, one.error_code) for one in result.missed_waypoints] == [(1, 204)]
-    aimed_at = [one.feedback.current_waypoint for one in sent.feedback]
-    assert aimed_at == sorted(aimed_at) and set(aimed_at) == {0, 1, 2}
-
-
-@pytest.mark.slow
-def test_goal_that_cannot_be_followed_is_rejected_with_one_line(begun) -> None:
-    session = begun()
     wrong, elsewhere = pose(1.0, 0.0), pose(1.0, 0.0)
     wrong.pose.position.x = float("nan")
     elsewhere.header.frame_id = "odom"
@@ -95,16 +94,40 @@ def test_goal_that_cannot_be_followed_is_rejected_with_one_line(begun) -> None:
         ((wrong,), "navigate_to_pose rejected: state: given"),
         ((pose(1.0, 0.0), elsewhere), "navigate_through_poses rejected: frame: given"),
     ):
-        assert not session.client.send(*poses).is_accepted
+        assert not client.send(*poses).is_accepted
         assert session.log("navigator").count(told) == 1
-    assert not session.client.send(pose(1.0, 0.0), tree="spin.xml").is_accepted
-    assert not session.client.send().is_accepted
-    assert session.client.wait(session.client.send(pose(0.5, 0.0))) == ["succeeded"]
+    set_floor(session, "[[-3, -3], [3, -3], [3, 3], [-3, 3]]")
+    sent = client.send(outside)
+    assert client.wait(sent) == ["aborted"]
+    assert "gives up the goal: it is outside of the floor" in sent.reason
+    assert sent.result.result().result.error_code == 204
+    left = sent.feedback[-1].feedback
+    x, y = session.place
+    assert left.distance_remaining == pytest.approx(np.hypot(100.0 - x, 100.0 - y), abs=0.1)
+    assert left.estimated_time_remaining.sec > 100
+    sent = client.send(pose(0.4, 0.0), outside, pose(0.0, 0.0), name="follow_waypoints")
+    assert client.wait(sent) == ["succeeded"]
+    result = sent.result.result().result
+    assert [(one.index, one.error_code) for one in result.missed_waypoints] == [(1, 204)]
+    aimed_at = [one.feedback.current_waypoint for one in sent.feedback]
+    assert aimed_at == sorted(aimed_at) and set(aimed_at) == {0, 1, 2}
+    set_floor(session, "")
+
+
+@pytest.fixture
+def commander(tmp_path) -> Path:
+    """Return a folder with nav2_simple_commander: that of Nav2, or what stands in for it."""
+    if importlib.util.find_spec("nav2_simple_commander") is None:
+        package = tmp_path / "nav2_simple_commander"
+        package.mkdir()
+        (package / "__init__.py").touch()
+        stand_in = ROOT / "test" / "support" / "commander_stand_in.py"
+        shutil.copy(stand_in, package / "robot_navigator.py")
+    return tmp_path
 
 
 @pytest.mark.slow
-def test_goal_is_reached_after_controller_or_simulator_are_started_again(begun) -> None:
-    session = begun()
+def test_goal_is_reached_after_controller_or_simulator_are_started_again(session) -> None:
     for node, side in (("controller", 2.5), ("simulator", -2.5)):
         sent = session.client.send(pose(side, 0.0))
         session.moves()
@@ -113,8 +136,20 @@ def test_goal_is_reached_after_controller_or_simulator_are_started_again(begun) 
 
 
 @pytest.mark.slow
-def test_killed_navigator_can_be_restarted_while_the_sphere_goes_on(begun) -> None:
-    session = begun()
+def test_example_runs_as_printed(session, commander) -> None:
+    path = os.pathsep.join([str(commander), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / "commander.py")], text=True, check=False,
+        capture_output=True, env=os.environ | {"PYTHONPATH": path}, timeout=PATIENCE,
+    )
+    assert done.returncode == 0, done.stderr
+    way, *ends = done.stdout.splitlines()
+    assert re.fullmatch(r"the way to the pose was \d\.\d m long", way)
+    assert ends == ["pose: succeeded", "waypoints: succeeded", "far pose: canceled"]
+
+
+@pytest.mark.slow
+def test_killed_navigator_can_be_restarted_while_the_sphere_goes_on(session) -> None:
     navigator, client = session.processes["navigator"], session.client
     client.send(pose(2.0, 0.0))
     session.moves()

@@ -14,7 +14,7 @@ from operator import contains, methodcaller
 from select import select
 
 import pytest
-from patience import PATIENCE
+from patience import PATIENCE, until
 
 from sphere_nmpc.worker import process
 from sphere_nmpc.worker.contract import Reply
@@ -22,60 +22,46 @@ from sphere_nmpc.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.slow
 
+keep = partial(methodcaller, "setdefault")
+"""Task that keeps a value by a name in the store, and returns the one that is kept."""
+
+
+class Worker(WorkerProcess):
+    """Worker process, with the faults that it has reported."""
+
+    def __init__(self) -> None:
+        self.faults: list[str] = []
+        super().__init__(self.faults.append)
+
+    def ended(self, reply: Reply[object]) -> Reply[object]:
+        until(lambda: bool(self.poll() or not reply.pending), 2e-3)
+        return reply
+
+    def complete(self, reply: Reply[object]) -> object:
+        assert not self.ended(reply).error
+        return reply.result
+
 
 @pytest.fixture
-def faults() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def worker(faults: list[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[WorkerProcess]:
+def worker(monkeypatch) -> Iterator[Worker]:
     monkeypatch.setattr(process, "_RESTART_EVERY", 0.0)
-    made = WorkerProcess(faults.append)
+    made = Worker()
     yield made
     made.close()
     assert not made.available and made.submit(len).error
 
 
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(2e-3)
-
-
-def ended(worker: WorkerProcess, reply: Reply[object]) -> Reply[object]:
-    until(lambda: bool(worker.poll() or not reply.pending))
-    return reply
-
-
-def complete(worker: WorkerProcess, reply: Reply[object]) -> object:
-    assert not ended(worker, reply).error
-    return reply.result
-
-
-def is_running(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    with open(f"/proc/{pid}/stat") as stat:
-        return stat.read().split()[2] != "Z"
-
-
-def test_tasks_are_done_in_order_and_share_a_store(worker: WorkerProcess) -> None:
-    replies = [worker.submit(methodcaller("setdefault", "first", value)) for value in (3, 4)]
+def test_tasks_are_done_in_order_and_share_a_store(worker) -> None:
+    replies = [worker.submit(keep("first", value)) for value in (3, 4)]
     assert all(reply.pending for reply in replies), "submitting does not wait"
-    assert [complete(worker, reply) for reply in replies] == [3, 3]
+    assert [worker.complete(reply) for reply in replies] == [3, 3]
 
 
-def test_task_that_raises_is_told_and_the_next_one_is_done(
-    worker: WorkerProcess, faults: list[str]
-) -> None:
+def test_task_that_raises_is_told_and_the_next_one_is_done(worker) -> None:
     failing, next_one = worker.submit(methodcaller("absent")), worker.submit(len)
-    assert complete(worker, next_one) == 0
+    assert worker.complete(next_one) == 0
     assert "absent" in failing.error and not failing.ready
-    assert faults == [failing.error]
+    assert worker.faults == [failing.error]
 
 
 class Made:
@@ -92,47 +78,38 @@ UNREADABLE = "type('', (), {'__reduce__': lambda _: (open, ('/nonexistent',))})(
 """Object that can be sent, but reading it opens a file that is missing."""
 
 
-def test_what_cannot_be_read_fails_alone_and_ends_no_process(
-    worker: WorkerProcess, faults: list[str]
-) -> None:
-    """Neither a task nor a result, whatever the error is that reading it raises."""
-    assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 1))) == 1
-    task = worker.submit(methodcaller("setdefault", "lost", Made(open, "/nonexistent")))
-    assert "nonexistent" in ended(worker, task).error
-    result = worker.submit(methodcaller("setdefault", "lost", Made(eval, UNREADABLE)))
-    assert "cannot be read" in ended(worker, result).error and "nonexistent" in result.error
-    assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 2))) == 1
-    assert faults == [task.error, result.error]
+def test_what_cannot_be_read_fails_alone_and_ends_no_process(worker) -> None:
+    assert worker.complete(worker.submit(keep("kept", 1))) == 1
+    task = worker.submit(keep("lost", Made(open, "/nonexistent")))
+    assert "nonexistent" in worker.ended(task).error
+    result = worker.submit(keep("lost", Made(eval, UNREADABLE)))
+    assert "cannot be read" in worker.ended(result).error and "nonexistent" in result.error
+    assert worker.complete(worker.submit(keep("kept", 2))) == 1
+    assert worker.faults == [task.error, result.error]
 
 
-def test_process_that_is_killed_fails_its_tasks_and_is_replaced(
-    worker: WorkerProcess, faults: list[str]
-) -> None:
-    assert complete(worker, worker.submit(methodcaller("setdefault", "kept", 1))) == 1
+def test_process_that_is_killed_fails_its_tasks_and_is_replaced(worker) -> None:
+    assert worker.complete(worker.submit(keep("kept", 1))) == 1
     first = worker.pid
     os.kill(first, signal.SIGSTOP)
     reply = worker.submit(len)
     os.kill(first, signal.SIGKILL)
-    assert ended(worker, reply).error and "replaced" in faults[0]
-    assert complete(worker, worker.submit(len)) == 0, "the store of the new process is empty"
+    assert worker.ended(reply).error and "replaced" in worker.faults[0]
+    assert worker.complete(worker.submit(len)) == 0, "the store of the new process is empty"
     assert worker.pid != first
 
 
-def test_process_with_an_endless_task_is_replaced(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_process_with_an_endless_task_is_replaced(worker, monkeypatch) -> None:
     monkeypatch.setattr(process, "_PATIENCE", 0.2)
-    assert complete(worker, worker.submit(len)) == 0
+    assert worker.complete(worker.submit(len)) == 0
     reply = worker.submit(partial(contains, range(10**12)))
-    assert "no result" in ended(worker, reply).error and "replaced" in faults[0]
-    assert complete(worker, worker.submit(len)) == 0
+    assert "no result" in worker.ended(reply).error and "replaced" in worker.faults[0]
+    assert worker.complete(worker.submit(len)) == 0
 
 
-def test_process_that_waits_for_a_processor_is_kept(
-    worker: WorkerProcess, faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_process_that_waits_for_a_processor_is_kept(worker, monkeypatch) -> None:
     monkeypatch.setattr(process, "_PATIENCE", 1.0)
-    assert complete(worker, worker.submit(len)) == 0
+    assert worker.complete(worker.submit(len)) == 0
     # One processor for both; the worker has some thousandths of it.
     processor = {min(os.sched_getaffinity(0))}
     os.sched_setaffinity(worker.pid, processor)
@@ -151,23 +128,23 @@ def test_process_that_waits_for_a_processor_is_kept(
     finally:
         other.kill()
         other.wait()
-    assert complete(worker, reply) is False
-    assert faults == []
+    assert worker.complete(reply) is False
+    assert worker.faults == []
 
 
-def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker: WorkerProcess) -> None:
-    assert complete(worker, worker.submit(len)) == 0
+def test_submitting_to_a_stopped_process_refuses_and_never_blocks(worker) -> None:
+    assert worker.complete(worker.submit(len)) == 0
     os.kill(worker.pid, signal.SIGSTOP)
     # As much as the largest task: a transition with all the holds of a second.
-    task = methodcaller("setdefault", "large", bytes(16_000))
+    task = keep("large", bytes(16_000))
     replies = [worker.submit(task) for _ in range(12)]
     assert [reply.pending for reply in replies] == [True] * 8 + [False] * 4
     assert "busy" in replies[-1].error
     os.kill(worker.pid, signal.SIGCONT)
-    assert complete(worker, replies[7]) == bytes(16_000)
+    assert worker.complete(replies[7]) == bytes(16_000)
 
 
-def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> None:
+def test_poll_does_not_wait_for_the_rest_of_a_result(worker) -> None:
     # Ten million characters: more than the pipe holds, so that a part of them has arrived.
     reply = worker.submit(partial("{:>10000000}".format, "end"))
     assert select([worker._child.channel], [], [], PATIENCE)[0], "timed out"
@@ -177,32 +154,13 @@ def test_poll_does_not_wait_for_the_rest_of_a_result(worker: WorkerProcess) -> N
     polling.join(PATIENCE)
     assert not polling.is_alive() and reply.pending
     os.kill(worker.pid, signal.SIGCONT)
-    result = complete(worker, reply)
+    result = worker.complete(reply)
     assert isinstance(result, str) and len(result) == 10_000_000
-    assert complete(worker, worker.submit(len)) == 0
+    assert worker.complete(worker.submit(len)) == 0
 
 
-def test_where_no_process_can_be_started_tasks_are_refused(
-    faults: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_no_process_can_be_started_tasks_are_refused(monkeypatch) -> None:
     monkeypatch.setattr(sys, "executable", "/nonexistent/python")
-    worker = WorkerProcess(faults.append)
+    worker = Worker()
     assert not worker.available and worker.submit(len).error
-    assert "not started" in faults[0]
-
-
-def test_process_ends_with_an_owner_that_is_killed() -> None:
-    code = (
-        "from sphere_nmpc.worker.process import WorkerProcess\n"
-        "import time\n"
-        "worker = WorkerProcess(print)\n"
-        "print(worker.pid, flush=True)\n"
-        "time.sleep(600)\n"
-    )
-    owner = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert owner.stdout is not None
-    pid = int(owner.stdout.readline())
-    assert is_running(pid)
-    owner.kill()
-    owner.communicate()
-    until(lambda: not is_running(pid))
+    assert "not started" in worker.faults[0]

@@ -4,10 +4,27 @@
 
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
+import psutil
+from patience import until
+
 from sphere_nmpc.child import end_with_parent
+
+
+def wait_for_end(pids: Iterable[int]) -> None:
+    """Wait until processes have ended, whoever has started them."""
+    for pid in pids:
+        until(partial(_has_ended, pid))
+
+
+def _has_ended(pid: int) -> bool:
+    try:
+        return bool(psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return True
 
 
 def end_with_this_process() -> None:

@@ -23,24 +23,18 @@ AT_REST = 0.01
 class Session:
     """Simulator, controller and navigator in a set of processes, and a client.
 
-    The floor has an edge if its corners are given. The navigator does not lose patience, unless
-    `navigator` gives other parameters.
+    The navigator does not lose patience.
     """
 
-    def __init__(
-        self, graph: Graph, processes: ProcessSet, floor: str = "",
-        **navigator: object,
-    ) -> None:
+    def __init__(self, graph: Graph, processes: ProcessSet) -> None:
         self.graph, self.processes = graph, processes
         patient = {"controller_timeout": PATIENCE, "no_progress_timeout": PATIENCE}
         given = {
             "simulator": {
                 "real_time_factor": FACTOR, "initial_state": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
             },
-            "controller": {
-                "use_sim_time": True, "goal_memory": 30.0, **({"floor": floor} if floor else {}),
-            },
-            "navigator": {"use_sim_time": True, **patient, **navigator},
+            "controller": {"use_sim_time": True, "goal_memory": 30.0},
+            "navigator": {"use_sim_time": True, **patient},
         }
         for verb, parameters in given.items():
             self.processes.start(verb, ["--ros-args", *parameter_options(parameters)])
@@ -83,11 +77,6 @@ class Session:
         before = self.place
         self.graph.spin_for(0.5)
         return float(np.linalg.norm(self.place - before))
-
-    def restart(self, name: str) -> None:
-        """Kill a node and start it again."""
-        self.processes[name].kill()
-        self.processes[name].start()
 
     def log(self, name: str) -> str:
         """Return what a node has printed."""

@@ -4,10 +4,11 @@
 
 import math
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import rclpy
@@ -15,11 +16,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from patience import PATIENCE
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from verb_process import start
 
+from sphere_nmpc.child import Child
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_sim.ros.session.process_set import verb_command
 
 
 def values_of(status: DiagnosticStatus) -> dict[str, str]:
@@ -28,18 +31,31 @@ def values_of(status: DiagnosticStatus) -> dict[str, str]:
 
 
 @contextmanager
-def started(verb: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+def started(verb: str, *options: str) -> Iterator[Child]:
     """Run a node in a process of its own; it must end cleanly."""
-    process = subprocess.Popen(
-        verb_command(verb, "--ros-args", *options), stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield process
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=PATIENCE) == 0
-    finally:
-        process.kill()
-        process.wait()
+    with TemporaryDirectory() as folder:
+        node = start(Path(folder), verb, "--ros-args", *options)
+        try:
+            yield node
+            node.send(signal.SIGINT)
+            assert node.wait(PATIENCE) == 0, node.output
+        finally:
+            node.kill()
+
+
+@contextmanager
+def running_graph(args: list[str] | None = None) -> Iterator["Graph"]:
+    """Make a graph, which is closed at the end."""
+    graph = Graph(args)
+    yield graph
+    graph.close()
+
+
+def forget_faults(node: GuardedNode) -> None:
+    """Let a node count faults and events from now on, and log each kind once more."""
+    for log in (node._fault_log, node._event_log):
+        for kept in (log._logged_at, log._suppressed, log._newest, log.counts, log._seen):
+            kept.clear()
 
 
 class Graph:
@@ -82,6 +98,12 @@ class Graph:
             executor = self._busy[node] = SingleThreadedExecutor()
         executor.add_node(node)
         self._nodes.append(node)
+
+    def start(self, kind: Callable[..., Any], **parameters: object) -> Any:
+        """Make a node of a class with parameters, and spin it, too."""
+        node = kind([Parameter(name, value=value) for name, value in parameters.items()])
+        self.add(node)
+        return node
 
     def _watch(self, node: GuardedNode) -> None:
         logged = node.report

@@ -30,7 +30,6 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.at_rest import (
     TOLERANCE,
-    TOLERANCE,
     AtRest,
     holdable_goal,
 )

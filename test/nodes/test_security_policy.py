@@ -1,26 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of msg_docs/topics.md, security policy and configurations of tools against the nodes."""
+"""The policy of SROS 2 allows what the nodes open, and is that of the document."""
 
 import contextlib
-import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import navigation_messages
 import pytest
 import rclpy
-import yaml
-from documented_topics import table
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Goals
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rclpy.subscription import Subscription
 
 from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_nmpc.ros.controller.node import ControllerNode
@@ -31,54 +23,6 @@ from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
 
 ROOT = Path(__file__).parents[2]
-CLASSES = {
-    "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
-    "recorder": RecorderNode,
-}
-SHARED = {"/clock", "/diagnostics"}
-"""Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
-ELSEWHERE = re.compile("/rosout|/parameter_events|/tf|.*parameter|.*type_description")
-"""Topics and services of rclpy, and one that depends on what is installed."""
-
-
-def type_name(message) -> str:
-    package, kind, _ = message.__module__.split(".")
-    return f"{package}/{kind}/{message.__name__}"
-
-
-def offered(node) -> set[tuple[str, str, str, str]]:
-    """Return (full name, type, kind, QoS) of each topic and service of a node."""
-    rows = set()
-    for end in (*node.publishers, *node.subscriptions):
-        profile = end.qos_profile
-        parts = [
-            "reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort",
-            str(profile.depth),
-        ]
-        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-            parts.append("transient local")
-        kind = "subscribes" if isinstance(end, Subscription) else "publishes"
-        rows.add((end.topic_name, type_name(end.msg_type), kind, ", ".join(parts)))
-    rows |= {(it.service_name, type_name(it.srv_type), "service", "") for it in node.services}
-    return {row for row in rows if not ELSEWHERE.match(row[0])}
-
-
-@pytest.mark.parametrize("name", CLASSES)
-@pytest.mark.parametrize("graph", [["--ros-args", "-r", "__ns:=/second"]], indirect=True)
-def test_tables_agree_with_the_node_which_may_be_in_a_namespace(
-    graph, name, tmp_path, monkeypatch
-) -> None:
-    navigation_messages.provide()
-    monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
-    node = CLASSES[name]()
-    graph.add(node)
-    documented = {
-        (topic if topic in SHARED else f"/second{topic}", *rest)
-        for owner, topic, *rest in table() if owner == name and rest[1] != "action"
-    }
-    assert offered(node) == documented
-
-
 RULES = (
     ("topics", "publish", "publisher"), ("topics", "subscribe", "subscriber"),
     ("services", "reply", "service"), ("services", "request", "client"),
@@ -130,17 +74,15 @@ def opened(probe: Node, name: str) -> Rows:
 def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, monkeypatch) -> None:
     viewer = pytest.importorskip("sphere_sim.ros.viewer.node")
     monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
-    simulated = Parameter("use_sim_time", value=True)
-    most = {"plant": "rigid_body", "lockstep": True}
-    graph.add(SimulatorNode([Parameter(name, value=value) for name, value in most.items()]))
-    graph.add(ControllerNode([simulated]))
+    graph.start(SimulatorNode, plant="rigid_body", lockstep=True)
+    graph.start(ControllerNode, use_sim_time=True)
     navigation_messages.provide()
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode()]
     goal = rclpy.create_node("goal")
     GoalLink(goal, (PoseStamped, PointStamped, Goals), NavigatorSettings(), lambda ending: None)
     graph._executor.add_node(goal)
     for node in followers:
-        node.set_parameters([simulated])
+        node.set_parameters([rclpy.Parameter("use_sim_time", value=True)])
         graph._executor.add_node(node)
     apart: dict[str, set[str]] = {}
 
@@ -178,33 +120,3 @@ def test_document_has_the_tables_of_the_policy() -> None:
         name: [{t for t in row if not not_listed.search(t)} for row in rows.values()]
         for name, rows in allowed().items()
     }
-
-
-OF_TOOLS = {"/markers", "/robot_description", "/initialpose"}
-"""Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
-
-
-def strings(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    for part in (*value, *value.values()) if isinstance(value, dict) else ():
-        yield from strings(part)
-    for part in value if isinstance(value, list) else ():
-        yield from strings(part)
-
-
-def test_rviz_and_foxglove_show_documented_topics() -> None:
-    documented = {topic for _, topic, *_ in table()} | OF_TOOLS
-    manager = yaml.safe_load((ROOT / "rviz" / "sphere.rviz").read_text())["Visualization Manager"]
-    topics = {
-        full(entry[key]["Value"], "") for entry in (*manager["Displays"], *manager["Tools"])
-        for key in ("Topic", "Description Topic") if key in entry
-    }
-    assert topics <= documented
-    assert {"/pose", "/odom", "/markers", "/goal_pose", "/controller/predicted_path"} <= topics
-    assert manager["Global Options"]["Fixed Frame"] == "world"
-    layout = json.loads((ROOT / "foxglove" / "sphere.json").read_text())
-    shown = {text.partition(".")[0] for text in strings(layout) if re.match(r"/[a-z]", text)}
-    assert shown <= documented
-    placed = [text for text in strings(layout["layout"]) if text in layout["configById"]]
-    assert sorted(placed) == sorted(layout["configById"]), "every panel has one place"

@@ -1,14 +1,24 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes declare, what may change while they run, and what is refused."""
+"""What the nodes declare, subscribe to, publish and answer, as it is documented."""
 
+import json
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import navigation_messages
 import pytest
+import yaml
+from documented_topics import table
 from parameter_tables import NODES, OF_ROBOT, PARTS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from ros_graph import Graph, running_graph
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
@@ -22,28 +32,103 @@ from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 
-CLASSES = {
+ROOT = Path(__file__).parents[2]
+CLASSES: dict[str, Any] = {
     "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
     "recorder": RecorderNode,
 }
+SHARED = {"/clock", "/diagnostics"}
+"""Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
+ELSEWHERE = re.compile("/rosout|/parameter_events|/tf|.*parameter|.*type_description")
+"""Topics and services of rclpy, and one that depends on what is installed."""
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory) -> Iterator[Graph]:
+    """Return a graph in a namespace."""
+    navigation_messages.provide()
+    with pytest.MonkeyPatch.context() as patch, running_graph(
+        ["--ros-args", "-r", "__ns:=/second"]
+    ) as graph:
+        patch.chdir(tmp_path_factory.mktemp("bags"))  # where the recorder begins one
+        yield graph
+
+
+@pytest.fixture(scope="module")
+def nodes(graph) -> dict[str, Any]:
+    return {name: graph.start(kind) for name, kind in CLASSES.items()}
 
 
 @pytest.fixture
-def controller(graph) -> ControllerNode:
-    node = ControllerNode()
-    graph.add(node)
-    return node
+def controller(nodes) -> ControllerNode:
+    return nodes["controller"]
+
+
+def type_name(message) -> str:
+    package, kind, _ = message.__module__.split(".")
+    return f"{package}/{kind}/{message.__name__}"
+
+
+def offered(node) -> set[tuple[str, str, str, str]]:
+    """Return (full name, type, kind, QoS) of each topic and service of a node."""
+    rows = set()
+    for end in (*node.publishers, *node.subscriptions):
+        profile = end.qos_profile
+        parts = [
+            "reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort",
+            str(profile.depth),
+        ]
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            parts.append("transient local")
+        kind = "subscribes" if isinstance(end, Subscription) else "publishes"
+        rows.add((end.topic_name, type_name(end.msg_type), kind, ", ".join(parts)))
+    rows |= {(it.service_name, type_name(it.srv_type), "service", "") for it in node.services}
+    return {row for row in rows if not ELSEWHERE.match(row[0])}
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_node_declares_each_quantity_with_unit_range_and_description(
-    graph, name, tmp_path, monkeypatch
-) -> None:
-    navigation_messages.provide()
-    monkeypatch.chdir(tmp_path)  # where the recorder begins a bag
-    node = CLASSES[name]()
-    graph.add(node)
-    expected = {}
+def test_tables_agree_with_the_node_which_may_be_in_a_namespace(nodes, name) -> None:
+    documented = {
+        (topic if topic in SHARED else f"/second{topic}", *rest)
+        for owner, topic, *rest in table() if owner == name and rest[1] != "action"
+    }
+    assert offered(nodes[name]) == documented
+
+
+OF_TOOLS = {"/markers", "/robot_description", "/initialpose"}
+"""Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
+
+
+def strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    for part in (*value, *value.values()) if isinstance(value, dict) else ():
+        yield from strings(part)
+    for part in value if isinstance(value, list) else ():
+        yield from strings(part)
+
+
+def test_rviz_and_foxglove_show_documented_topics() -> None:
+    documented = {topic for _, topic, *_ in table()} | OF_TOOLS
+    manager = yaml.safe_load((ROOT / "rviz" / "sphere.rviz").read_text())["Visualization Manager"]
+    topics = {
+        "/" + entry[key]["Value"].lstrip("/")
+        for entry in (*manager["Displays"], *manager["Tools"])
+        for key in ("Topic", "Description Topic") if key in entry
+    }
+    assert topics <= documented
+    assert {"/pose", "/odom", "/markers", "/goal_pose", "/controller/predicted_path"} <= topics
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    layout = json.loads((ROOT / "foxglove" / "sphere.json").read_text())
+    shown = {text.partition(".")[0] for text in strings(layout) if re.match(r"/[a-z]", text)}
+    assert shown <= documented
+    placed = [text for text in strings(layout["layout"]) if text in layout["configById"]]
+    assert sorted(placed) == sorted(layout["configById"]), "every panel has one place"
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_node_declares_each_quantity_with_unit_range_and_description(nodes, name) -> None:
+    node, expected = nodes[name], {}
     robot = [("robot", RobotParameters())] if name in OF_ROBOT else []
     for prefix, part in [("", NODES[name]), *robot, *((p, part) for p, _, part in PARTS[name])]:
         expected |= {f"{prefix}.{key}".lstrip("."): v for key, v in quantities(part).items()}
@@ -129,8 +214,7 @@ def test_unknown_names_are_logged_in_one_warning_and_a_wrong_value_is_named(
     with pytest.raises(InvalidParameterError, match=r"initial_state: given .*, expected"):
         SimulatorNode([Parameter("initial_state", value=[1.0, 2.0])])
     given = {"sed": 1, "robot.mass": 2.0}
-    node = SimulatorNode([Parameter(key, value=value) for key, value in given.items()])
-    graph.add(node)
+    node = graph.start(SimulatorNode, **given)
     lines = [line for line in capfd.readouterr().err.splitlines() if "unknown parameters" in line]
     assert len(lines) == 1 and "'robot.mass, sed'" in lines[0]
     assert not node.has_parameter("sed")

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from momentum_loop import settling_time
 from robots import SIZES
+from sampled_loop import settling_time
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, without_momentum

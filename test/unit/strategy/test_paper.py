@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from integration import integrate
-from momentum_loop import settling_time
+from sampled_loop import settling_time
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, make_state, without_momentum

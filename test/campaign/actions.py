@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +38,6 @@ from sphere_nmpc.ros.messages import pose_to_ros
 Action = Iterator[Any]
 _OBSTACLE_AHEAD = 1.5
 """Least distance from the sphere to the middle of a new obstacle [m]."""
-_BAD_MAP_EVERY = 0.5
-"""Wall time between two bad maps [s]."""
 _SLICE = 0.1
 """Period of the throttling [s], that of Linux's processor quotas."""
 _HOG = "import time\nend = time.time() + 30\nwhile time.time() < end: pass"
@@ -48,7 +46,6 @@ _LEFT_ON_DISK = 1000
 """Space that is left before the disk is full [bytes]."""
 _SOME_MESSAGES = 4000
 """Size of a bag that is not empty [bytes]."""
-_WORKER = "sphere_nmpc.worker.serve"
 _WRONG_AT_START = (
     "sample_period:=-1.0", "strategy:=none", "robot.shell_mass:=0.0", "horizon:=2.5",
     "time_budget:=fast",
@@ -60,6 +57,28 @@ _WRONG_LIVE = (
     ("simulator", "real_time_factor", -1.0), ("simulator", "process_noise", float("inf")),
     ("simulator", "seed", "seven"),
 )
+
+
+def every(
+    period: float, act: Callable[[], float | None], at_once: bool = True
+) -> Callable[[], None]:
+    """Return a function that acts when it is called, but once a `period` [s, wall] at most.
+
+    Where `act` returns a number that is the next period.
+    """
+    due = 0.0 if at_once else time.monotonic() + period
+
+    def when_due() -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + (act() or period)
+
+    return when_due
+
+
+def source(session: Session) -> random.Random:
+    """Return a source of randomness of Python."""
+    return random.Random(int(session.rng.integers(2**32)))
 
 
 def disturb_poses(session: Session, disturbance: Disturbance) -> Action:
@@ -103,17 +122,9 @@ def pace(session: Session, factor: float) -> Action:
 
 def bad_goals(session: Session, kinds: tuple[str, ...], period: float = 0.2) -> Action:
     """Send further goals of some kinds of `goal_message` in turn, one a `period` [s, wall]."""
-    rng = random.Random(int(session.rng.integers(2**32)))
-    due, kind = 0.0, itertools.cycle(kinds)
-
-    def send() -> None:
-        nonlocal due
-        if time.monotonic() >= due:
-            due = time.monotonic() + period
-            publisher.publish(goal_message(rng, next(kind)))
-
+    rng, kind = source(session), itertools.cycle(kinds)
     with session.publisher(PoseStamped, "goal_pose", 1) as publisher:
-        yield send
+        yield every(period, lambda: publisher.publish(goal_message(rng, next(kind))))
 
 
 def two_poses(session: Session, offset: float = 0.0) -> Action:
@@ -160,24 +171,22 @@ def kill(session: Session, node: str) -> Action:
 
 def stop(session: Session, node: str) -> Action:
     """Send SIGSTOP to a node, and SIGCONT at the end."""
-    process = session.processes[node]
-    process.send(signal.SIGSTOP)
+    session.processes[node].send(signal.SIGSTOP)
     yield
-    process.send(signal.SIGCONT)
+    session.processes[node].send(signal.SIGCONT)
 
 
 def throttle(session: Session, share: float) -> Action:
     """Let the controller run for a share of the time only, as a processor quota does."""
-    process, due, runs = session.processes["controller"], 0.0, True
+    process = session.processes["controller"]
+    turns = itertools.cycle(((signal.SIGSTOP, 1.0 - share), (signal.SIGCONT, share)))
 
-    def switch() -> None:
-        nonlocal due, runs
-        if time.monotonic() >= due:
-            runs = not runs
-            due = time.monotonic() + (share if runs else 1.0 - share) * _SLICE
-            process.send(signal.SIGCONT if runs else signal.SIGSTOP)
+    def switch() -> float:
+        number, part = next(turns)
+        process.send(number)
+        return part * _SLICE
 
-    yield switch
+    yield every(_SLICE, switch)
     process.send(signal.SIGCONT)
 
 
@@ -216,7 +225,8 @@ def worker_of(controller: int) -> int:
     """Return the process id of the worker that a process has started; 0 if there is none."""
     with contextlib.suppress(psutil.NoSuchProcess):  # a process may end while it is looked at
         for child in psutil.Process(controller).children():
-            if child.status() != psutil.STATUS_ZOMBIE and _WORKER in " ".join(child.cmdline()):
+            command = "" if child.status() == psutil.STATUS_ZOMBIE else " ".join(child.cmdline())
+            if "sphere_nmpc.worker.serve" in command:
                 return child.pid
     return 0
 
@@ -325,18 +335,10 @@ def new_obstacle(session: Session) -> Action:
     length = float(np.linalg.norm(way))
     ahead = way / length if length > 0.0 else np.array([1.0, 0.0])
     obstacle = place + max(_OBSTACLE_AHEAD, 0.5 * length) * ahead
-    rng = random.Random(int(session.rng.integers(2**32)))
-    due = time.monotonic() + _BAD_MAP_EVERY
-
-    def send() -> None:
-        nonlocal due
-        if time.monotonic() >= due:
-            due = time.monotonic() + _BAD_MAP_EVERY
-            publisher.publish(bad_map(rng))
-
+    rng = source(session)
     with session.publisher(OccupancyGrid, "map", LATCHED) as publisher:
         publisher.publish(map_message(obstacle))
-        yield send
+        yield every(0.5, lambda: publisher.publish(bad_map(rng)), at_once=False)
     session.without_map()
 
 

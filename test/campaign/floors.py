@@ -9,12 +9,11 @@ that are dropped over it, where it must not roll on.
 import array
 import math
 import random
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from actions import Action
+from actions import Action, every, source
 from geometry_msgs.msg import Point32, PolygonInstanceStamped, PoseStamped
 from hostile import TEXTS, bad_map, goal_message, map_message
 from nav_msgs.msg import Goals, OccupancyGrid
@@ -22,7 +21,6 @@ from node_session import READY, Session, SessionError
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from tries import source
 
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.ros.guarded_node import LATCHED
@@ -33,14 +31,6 @@ _AWAY = 1.0
 way of a stop, and what it rolls until that is in force."""
 _IDS = (0, 1, 2, 2**31, 2**32 - 1)
 """Ids of areas, of which each replaces the one before."""
-_PERIODS = 0.1, 0.5, 2.0
-"""Wall times between two areas [s], of which a trial has one."""
-_GOAL_EVERY = 1.5
-"""Wall time between two goals, so that the sphere moves [s]."""
-_MAP_EVERY = 1.0
-"""Wall time between two maps [s]."""
-_LIST_EVERY = 0.2
-"""Wall time between two lists of goals [s]."""
 _LENGTHS = 0, 1, 2, 20, 1000
 _NOWHERE = math.nan, math.inf, -1e30
 _EDGES = (
@@ -53,35 +43,23 @@ _EDGES = (
 
 @contextmanager
 def _goals(session: Session, rng: random.Random) -> Iterator[Callable[[], None]]:
-    """Yield a function that sends another goal from time to time."""
-    due = 0.0
-
-    def send() -> None:
-        nonlocal due
-        if time.monotonic() >= due:
-            due = time.monotonic() + _GOAL_EVERY
-            publisher.publish(goal_message(rng, "valid"))
-
+    """Yield a function that sends another goal from time to time, so that the sphere moves."""
     with session.publisher(PoseStamped, "goal_pose") as publisher:
-        yield send
+        yield every(1.5, lambda: publisher.publish(goal_message(rng, "valid")))
 
 
 def areas(session: Session) -> Action:
     """Areas to keep out of and edges: near, far, huge, tiny, moving, over sphere or goal, bad."""
-    rng, due = source(session), 0.0
-    every = rng.choice(_PERIODS)
+    rng, judge = source(session), session.judge
+    period = rng.choice((0.1, 0.5, 2.0))
     sent: set[int] = set()
 
     def send() -> None:
-        nonlocal due
-        goal()
-        place, judge = session.judge.state, session.judge
-        if time.monotonic() < due or place is None or judge.run is None:
+        if judge.state is None or judge.run is None:
             return
-        due = time.monotonic() + every
         number = rng.choice(_IDS)
         sent.add(number)
-        corners = _corners(rng, place[POSITION], judge.run.goal[POSITION])
+        corners = _corners(rng, judge.state[POSITION], judge.run.goal[POSITION])
         publisher.publish(_area(number, corners))
         if rng.random() < 0.1:
             value = ParameterValue(
@@ -94,43 +72,34 @@ def areas(session: Session) -> Action:
 
     topic = session.publisher(PolygonInstanceStamped, "keepout", _KEPT)
     with topic as publisher, _goals(session, rng) as goal:
-        yield send
+        yield together(goal, every(period, send))
         for number in sent:
             publisher.publish(_area(number, np.empty((0, 2))))
         session.require_parameters("controller", floor="")
-        if not session.until(lambda: session.judge.contacts.grid is None, READY):
+        if not session.until(lambda: judge.contacts.grid is None, READY):
             raise SessionError("areas that were taken away are still in force")
 
 
 def maps(session: Session) -> Action:
     """Maps of any size, turn and resolution with obstacles ahead, and bad ones, for both nodes."""
-    rng, due = source(session), 0.0
+    rng, judge = source(session), session.judge
 
     def send() -> None:
-        nonlocal due
-        goal()
-        state = session.judge.state
-        if time.monotonic() < due or state is None:
-            return
-        due = time.monotonic() + _MAP_EVERY
-        message = bad_map(rng) if rng.random() < 0.3 else _map(rng, state[POSITION])
-        publisher.publish(message)
+        if judge.state is not None:
+            is_bad = rng.random() < 0.3
+            publisher.publish(bad_map(rng) if is_bad else _map(rng, judge.state[POSITION]))
 
     topic = session.publisher(OccupancyGrid, "map", LATCHED)
     with topic as publisher, _goals(session, rng) as goal:
-        yield send
+        yield together(goal, every(1.0, send))
     session.without_map()
 
 
 def goal_lists(session: Session) -> Action:
     """Lists of 0 to 1000 goals, valid ones and such with one that is not."""
-    rng, due = source(session), 0.0
+    rng = source(session)
 
     def send() -> None:
-        nonlocal due
-        if time.monotonic() < due:
-            return
-        due = time.monotonic() + _LIST_EVERY
         count, bad = rng.choice(_LENGTHS), rng.choice(("valid", "valid", "far", "number", "norm"))
         poses = [goal_message(rng, "valid") for _ in range(count)]
         if poses:
@@ -138,7 +107,16 @@ def goal_lists(session: Session) -> Action:
         publisher.publish(Goals(goals=poses))
 
     with session.publisher(Goals, "goals") as publisher:
-        yield send
+        yield every(0.2, send)
+
+
+def together(first: Callable[[], object], second: Callable[[], object]) -> Callable[[], None]:
+    """Return a function that calls two others."""
+    def both() -> None:
+        first()
+        second()
+
+    return both
 
 
 def _corners(rng: random.Random, place: Vector, goal: Vector) -> Vector:

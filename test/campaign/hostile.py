@@ -37,7 +37,8 @@ TEXTS = (
 _BITS = {"int8": 8, "int16": 16, "int32": 32, "int64": 64}
 _SEQUENCE = re.compile(r"sequence<(.+?)(?:, \d+)?>$")
 _ARRAY = re.compile(r"(.+)\[\d+\]$")
-RADIUS = RobotParameters().shell_radius
+ROBOT = RobotParameters()
+RADIUS = ROBOT.shell_radius
 _CELL, _CELLS = 0.1, 100
 """Side of a cell of a map [m], and how many of them a map has in each direction."""
 _HALF_OBSTACLE = 0.3

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Judge of commands and rotors by the limits, of the run to a goal; the reports of the nodes."""
+"""Judge of commands, rotors and contacts, and of the run to a goal; the reports of the nodes."""
 
 import math
 import time
@@ -9,15 +9,15 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from contacts import ContactCheck
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hostile import RADIUS, ROBOT
 from rcl_interfaces.msg import Log
 from rclpy.node import Node
 
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
-from sphere_nmpc.floor.occupancy import InvalidMapError
+from sphere_nmpc.floor.floor import exact_distance
+from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import (
@@ -40,19 +40,24 @@ _CONTINUITY = 1e-3
 """Largest jump of the commanded speeds from one command to the next [rad/s]."""
 _RESOLUTION = 2e-9
 """Largest error of a duration between two stamps that were rounded to nanoseconds [s]."""
-_KEPT = 20
-"""Number of violations that are kept as text."""
 _MOST_AHEAD = 0.5
 """Largest time from the true clock to the start of a command [s]."""
 _LONGEST = 10.0
 """Longest duration of a command [s]: for so long the rotors turn after a controller was killed."""
-_GRACE = 1.0
-"""Wall time that a controller has to notice that the true clock went back [s]."""
+_GRACE = NANOSECONDS
+"""Wall time that a controller has to notice that the true clock went back [ns]."""
 _LATE = 0.01
 """Delay of a command beyond which the drives have to catch up with it [s]."""
 _AT_REST = 1e-3
 """Speed below which a rotor rests [rad/s]."""
-_DEPTH = 1000
+STOPPING = 0.5
+"""Way [m] that a stop takes at most: a sampling period and the ramp of the rotors at the largest
+speed, 0.742 m/s, and what the controller and this judge learn late."""
+_TOUCH = 5e-3
+"""Distance [m] below which the sphere counts as in contact: walls of the plant stop it millimetres
+before, and any plan keeps more."""
+_NEARER = 1e-2
+"""Decrease of the distance by which a new floor has come nearer to the sphere [m]."""
 
 
 class LimitCheck:
@@ -63,9 +68,6 @@ class LimitCheck:
     """
 
     def __init__(self, servo_error: float = 0.0) -> None:
-        robot = RobotParameters()
-        self._max_speed = robot.max_rotor_speed
-        self._max_acceleration = robot.max_rotor_acceleration
         self._servo_error = servo_error
         self.continuous = True
         """Whether a command has to start from the speeds in force."""
@@ -79,7 +81,7 @@ class LimitCheck:
         self.worst_slew = 0.0
         """Largest slew rate, commanded or measured [rad/s^2]."""
         self.broken: list[str] = []
-        """Violations of a limit, in words."""
+        """The first violations, in words."""
 
     def restart(self) -> None:
         """Discard the previous command and speeds, as when simulated time restarts."""
@@ -87,13 +89,18 @@ class LimitCheck:
         self._left: FirstOrderHold | None = None
         self._measured: tuple[int, Vector] | None = None
 
+    def complain(self, what: str) -> None:
+        """Keep a violation, unless there are many."""
+        if len(self.broken) < 20:
+            self.broken.append(what)
+
     def sent(self, hold: FirstOrderHold) -> None:
         """Check a commanded hold by itself."""
-        self._check_speed("rotor_trajectory", hold.speeds)
+        self.speed("rotor_trajectory", hold.speeds)
         if hold.times.size > 1:
             changes = np.abs(np.diff(hold.speeds, axis=0))
             durations = np.diff(hold.times)[:, None] + _RESOLUTION
-            self._check_slew("rotor_trajectory", float(np.max(changes / durations)))
+            self._slew("rotor_trajectory", float(np.max(changes / durations)))
 
     def delivered(self, hold: FirstOrderHold, now: float = -np.inf) -> None:
         """Check a hold that reaches the drives by `now` [s] against the one that it replaces.
@@ -101,56 +108,87 @@ class LimitCheck:
         After a hold that was late the rotors are still between the one that they left and that.
         A copy of the hold in force replaces nothing.
         """
-        known = self._hold
-        if known is not None and np.array_equal(hold.times, known.times) and \
-                np.array_equal(hold.speeds, known.speeds):
+        before, left = self._hold, self._left
+        if before is not None and np.array_equal(hold.times, before.times) and \
+                np.array_equal(hold.speeds, before.speeds):
             return
-        (before, left), self._hold = (self._hold, self._left), hold
-        self._left = before if now > hold.start + _LATE else None
+        self._hold, self._left = hold, before if now > hold.start + _LATE else None
         if before is None or hold.start < before.start or not self.continuous:
             return
-        in_force = [before.at(hold.start)]
-        if left is not None:
-            in_force.append(left.at(hold.start))
+        in_force = [one.at(hold.start) for one in (before, left) if one is not None]
         within = np.clip(hold.speeds[0], np.min(in_force, axis=0), np.max(in_force, axis=0))
         jump = float(np.max(np.abs(hold.speeds[0] - within)))
-        if jump > _CONTINUITY + self._max_acceleration * _RESOLUTION:
-            self._report(
-                f"rotor_trajectory starts {jump:.4g} rad/s away from the one in force at "
-                f"t = {hold.start:.3f} s"
-            )
-
-    def command(self, speeds: Vector) -> None:
-        """Check rotor speeds that were commanded without a time, shape (2,)."""
-        self._check_speed("rotor_commands", speeds)
+        if jump > _CONTINUITY + ROBOT.max_rotor_acceleration * _RESOLUTION:
+            self.complain(f"rotor_trajectory starts {jump:.4g} rad/s away from the one in force "
+                          f"at t = {hold.start:.3f} s")
 
     def joints(self, stamp: int, speeds: Vector) -> None:
         """Check the measured rotor speeds, shape (2,), at `stamp` [ns]."""
-        self._check_speed("joint_states", speeds)
+        self.speed("joint_states", speeds)
         before, self._measured = self._measured, (stamp, speeds)
-        if before is None or stamp <= before[0]:
-            return
-        duration = (stamp - before[0]) * 1e-9 + _RESOLUTION
-        change = float(np.max(np.abs(speeds - before[1])))
-        self._check_slew("joint_states", change / duration, self._servo_error / duration)
+        if before is not None and stamp > before[0]:
+            duration = (stamp - before[0]) * 1e-9 + _RESOLUTION
+            change = float(np.max(np.abs(speeds - before[1])))
+            self._slew("joint_states", change / duration, self._servo_error / duration)
 
-    def _check_speed(self, topic: str, speeds: Vector) -> None:
-        speed = float(np.max(np.abs(speeds), initial=0.0))
+    def speed(self, topic: str, speeds: Vector) -> None:
+        """Check rotor speeds of a topic [rad/s]."""
         if not np.all(np.isfinite(speeds)):
-            self._report(f"{topic} holds {np.asarray(speeds).tolist()}")
+            self.complain(f"{topic} holds {np.asarray(speeds).tolist()}")
             return
+        speed = float(np.max(np.abs(speeds), initial=0.0))
         self.worst_speed = max(self.worst_speed, speed)
-        if speed > self._max_speed * (1.0 + _TOLERANCE):
-            self._report(f"{topic} has {speed:.6g} rad/s")
+        if speed > ROBOT.max_rotor_speed * (1.0 + _TOLERANCE):
+            self.complain(f"{topic} has {speed:.6g} rad/s")
 
-    def _check_slew(self, topic: str, slew: float, allowance: float = 0.0) -> None:
+    def _slew(self, topic: str, slew: float, allowance: float = 0.0) -> None:
         self.worst_slew = max(self.worst_slew, slew)
-        if slew > self._max_acceleration * (1.0 + _TOLERANCE) + allowance:
-            self._report(f"{topic} has {slew:.6g} rad/s^2")
+        if slew > ROBOT.max_rotor_acceleration * (1.0 + _TOLERANCE) + allowance:
+            self.complain(f"{topic} has {slew:.6g} rad/s^2")
 
-    def _report(self, what: str) -> None:
-        if len(self.broken) < _KEPT:
-            self.broken.append(what)
+
+class ContactCheck:
+    """Check that the sphere rolls into nothing that is in force.
+
+    Where something comes into force nearer than the way of a stop, or over the sphere, a contact
+    cannot be prevented; there it must not roll on for longer than that way.
+    """
+
+    def __init__(self) -> None:
+        self.grid: Grid | None = None
+        """What is occupied on the floor in force; None if nothing is."""
+        self.excused = False
+        """Whether something has come into force too near to be avoided."""
+        self.place: Vector | None = None
+        """Newest place of the sphere; None where it is put elsewhere."""
+        self._left = 0.0
+
+    def floor(self, grid: Grid | None) -> None:
+        """Take a floor that has come into force."""
+        before, self.grid = self._distance(), grid
+        now = self._distance()
+        if now < RADIUS + STOPPING and now < before - _NEARER:
+            self._left, self.excused = STOPPING, True
+
+    def observe(self, place: Vector) -> str:
+        """Return what is wrong about a place of the sphere, shape (2,) [m]; empty if nothing."""
+        rolled = 0.0 if self.place is None else float(np.linalg.norm(place - self.place))
+        self.place = place
+        distance = self._distance()
+        if distance >= RADIUS + STOPPING:
+            self._left = 0.0
+        if distance >= RADIUS + _TOUCH:
+            return ""
+        before, self._left = self._left, self._left - rolled
+        if before < 0.0 or self._left >= 0.0:
+            return ""  # once for each contact
+        return (f"it rolled on in contact at {np.round(place, 3).tolist()} m, {distance:.3f} m "
+                "from what is occupied")
+
+    def _distance(self) -> float:
+        if self.grid is None or self.place is None:
+            return float("inf")
+        return exact_distance(self.grid, self.place, 2.0 * (RADIUS + STOPPING))
 
 
 class Judge:
@@ -202,7 +240,7 @@ class Judge:
         """Begin a trial and return its run to a goal, shape (6,)."""
         self.run = GoalRun(goal)
         self.limits.begin()
-        self.contacts.begin()
+        self.contacts.excused = False
         return self.run
 
     def restarted(self) -> None:
@@ -216,7 +254,7 @@ class Judge:
         self.now = clock_stamp(raw)
         shifted = self.now + shift
         if self._true_times and shifted < self._true_times[-1][1]:
-            self._back_until = wall + round(_GRACE * NANOSECONDS)
+            self._back_until = wall + _GRACE
         self._true_times.append((wall, shifted))
 
     def pose(self, raw: bytes, wall: int, shift: int) -> None:
@@ -232,12 +270,12 @@ class Judge:
             self.state = pose_of_message(raw)
         except InvalidValueError as error:
             if not self.is_lenient:  # otherwise it may have been pushed away too far
-                self.limits.broken.append(f"the undisturbed pose is wrong: {error}")
+                self.limits.complain(f"the undisturbed pose is wrong: {error}")
             return
         if self.is_lenient:
-            self.contacts.restart()
+            self.contacts.place = None
         elif touched := self.contacts.observe(self.state[POSITION]):
-            self.limits.broken.append(touched)
+            self.limits.complain(touched)
         if self.run is not None:
             self.run.observe(self.time, self.state)
 
@@ -245,7 +283,7 @@ class Judge:
         """Take joint states of the simulator."""
         speeds, stamp = rotor_speeds_and_stamp(raw)
         if speeds is None:
-            self.limits.broken.append("joint_states without finite speeds")
+            self.limits.complain("joint_states without finite speeds")
             return
         self.speeds = speeds
         if self.is_lenient:
@@ -256,7 +294,7 @@ class Judge:
 
     def command(self, raw: bytes, wall: int, shift: int) -> None:
         """Take rotor speeds of a controller."""
-        self.limits.command(speeds_of_message(raw))
+        self.limits.speed("rotor_commands", speeds_of_message(raw))
 
     def trajectory(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a trajectory of a controller, of times on its shifted clock."""
@@ -264,13 +302,13 @@ class Judge:
             stamp = read(raw, Trajectory).stamp
             hold, _ = hold_and_stamp(raw, 0, stamp)  # relative to its stamp, hence exact
         except InvalidValueError as error:
-            self.limits.broken.append(f"rotor_trajectory is wrong: {error}")
+            self.limits.complain(f"rotor_trajectory is wrong: {error}")
             return
         self.limits.sent(hold)
         if np.any(hold.speeds[-1] != 0.0):
-            self.limits.broken.append(f"a command ends at {hold.speeds[-1].tolist()} rad/s")
+            self.limits.complain(f"a command ends at {hold.speeds[-1].tolist()} rad/s")
         if hold.end > _LONGEST:
-            self.limits.broken.append(f"a command lasts {hold.end:.3f} s")
+            self.limits.complain(f"a command lasts {hold.end:.3f} s")
         true = next((then for at, then in reversed(self._true_times) if at <= wall), None)
         if true is None or wall < self._back_until:
             return
@@ -278,7 +316,7 @@ class Judge:
         if self.is_lenient:
             ahead = min(ahead, (stamp - wall) / NANOSECONDS)
         if ahead > _MOST_AHEAD:
-            self.limits.broken.append(f"{TOO_EARLY}: {ahead:.3f} s before its time")
+            self.limits.complain(f"{TOO_EARLY}: {ahead:.3f} s before its time")
 
     def delivered(self, raw: bytes) -> None:
         """Take a trajectory that reaches the drives, of times on the simulator's clock."""
@@ -306,14 +344,14 @@ class Reports:
 
     def __init__(self, node: Node) -> None:
         self.messages: list[str] = []
-        """Reports so far."""
+        """Reports so far; among the numbers that rose those of interest are counters."""
         self._counters: dict[str, float] = {}
         for kind, topic, take in (
             (DiagnosticArray, "/diagnostics", self._take_diagnostics),
             (DiagnosticStatus, "controller/status", self._take_status),
             (Log, "/rosout", self._take_log),
         ):
-            node.create_subscription(kind, topic, take, _DEPTH)
+            node.create_subscription(kind, topic, take, 1000)
 
     def name(self, words: tuple[str, ...]) -> bool:
         """Return whether one of some words is in a report."""
@@ -327,18 +365,12 @@ class Reports:
         if message.level != DiagnosticStatus.OK or message.message == "paused":
             self.messages.append(f"{message.name}: {message.message}")
         for pair in message.values:
-            self._count(f"{message.name} {pair.key}", pair.key, pair.value)
-
-    def _count(self, place: str, key: str, text: str) -> None:
-        """Add a message for a number that rose, among which those of interest are counters."""
-        try:
-            value = float(text)
-        except ValueError:
-            return
-        if value > self._counters.get(place, math.inf):
-            # The keys of the status have underscores, those of diagnostics have not.
-            self.messages.append(f"{key.replace('_', ' ')} rose ({key})")
-        self._counters[place] = value
+            with suppress(ValueError):  # of texts
+                value, place = float(pair.value), f"{message.name} {pair.key}"
+                if value > self._counters.get(place, math.inf):
+                    # The keys of the status have underscores, those of diagnostics have not.
+                    self.messages.append(f"{pair.key.replace('_', ' ')} rose ({pair.key})")
+                self._counters[place] = value
 
     def _take_log(self, message: Any) -> None:
         self.messages.append(f"{message.name}: {message.msg}")

@@ -96,29 +96,26 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         self.judge = Judge(_SERVO_ERROR[settings.plant])
         self.solver_file = folder.absolute() / "solver"
-        commands = {
-            "simulator": verb_command("simulator"),
-            "controller": module_command("bad_strategy", str(self.solver_file)),
-            "recorder": verb_command("recorder"),
-        }
-        if everything:
-            commands |= {"viewer": verb_command("viewer", "--port", "0"),
-                         "markers": verb_command("markers")}
-        self._given: dict[str, dict[str, object]] = {
-            "simulator": {
+        control_rate = 0.0 if settings.rate == RATE else settings.rate
+        nodes: dict[str, tuple[list[str], dict[str, object]]] = {
+            "simulator": (verb_command("simulator"), {
                 "plant": settings.plant, "real_time_factor": settings.rtf,
                 "pose_rate": settings.rate, "thread_priority": _PRIORITY,
-            },
-            "controller": {
+            }),
+            "controller": (module_command("bad_strategy", str(self.solver_file)), {
                 "use_sim_time": True, "strategy": settings.strategy, "thread_priority": _PRIORITY,
-                "command_rate": settings.rate,
-                "control_rate": 0.0 if settings.rate == RATE else settings.rate,
-            },
-            "recorder": {"use_sim_time": True},
-            "viewer": {},
-            "markers": {"use_sim_time": True},
+                "command_rate": settings.rate, "control_rate": control_rate,
+            }),
+            "recorder": (verb_command("recorder"), {"use_sim_time": True}),
         }
-        self.nodes = tuple(commands)
+        if everything:
+            nodes["viewer"] = verb_command("viewer", "--port", "0"), {}
+            nodes["markers"] = verb_command("markers"), {"use_sim_time": True}
+        self.nodes = tuple(nodes)
+        self.processes = ProcessSet(folder)
+        self._given = {name: given for name, (_, given) in nodes.items()}
+        for name, (command, _) in nodes.items():
+            self.processes.add(name, command)
         self.rng = np.random.default_rng(0)
         """Source of randomness of goals and faults; each trial begins its own."""
         self.topics: dict[str, type] = {}
@@ -129,14 +126,11 @@ class Session:
         self.services: dict[str, Any] = {
             "simulator/pause": SetBool, "simulator/reset": Trigger, "controller/enable": SetBool,
             "recorder/start": Trigger, "recorder/stop": Trigger,
-            **{f"{node}/get_parameters": GetParameters for node in self.nodes},
-            **{f"{node}/set_parameters": SetParameters for node in self.nodes},
-            **{f"{node}/list_parameters": ListParameters for node in self.nodes},
+            **{f"{node}/{kind}_parameters": service for node in self.nodes for kind, service in (
+                ("get", GetParameters), ("set", SetParameters), ("list", ListParameters)
+            )},
         }
         """Services of the nodes; all of them with `everything`."""
-        self.processes = ProcessSet(folder)
-        for name, command in commands.items():
-            self.processes.add(name, command)
         self.node, self._reader = rclpy.create_node("faults"), rclpy.create_node("fault_reader")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
@@ -315,24 +309,16 @@ class Session:
         return list(self.call(f"{node}/get_parameters", request).values)
 
     @contextmanager
-    def lenient(self) -> Iterator[None]:
-        """Allow resets, pushes and other clocks."""
+    def restored(self) -> Iterator[None]:
+        """Allow resets, pushes and other clocks; afterwards undo what was changed."""
         self.judge.lenient_until = math.inf
         try:
             yield
-        finally:
-            self.judge.lenient_until = time.monotonic() + _NOTICED
-
-    @contextmanager
-    def restored(self) -> Iterator[None]:
-        """Allow resets, pushes and other clocks; afterwards undo what was changed."""
-        with self.lenient():
-            yield
             for node, wanted in self.parameters.items():
                 found = zip(wanted, self._values(node, list(wanted)), strict=True)
+                changed = [name for name, value in found if value != wanted[name]]
                 request = SetParameters.Request(parameters=[
-                    ParameterMessage(name=name, value=wanted[name])
-                    for name, value in found if value != wanted[name]
+                    ParameterMessage(name=name, value=wanted[name]) for name in changed
                 ])
                 results = self.call(f"{node}/set_parameters", request).results
                 if refused := [result.reason for result in results if not result.successful]:
@@ -340,18 +326,16 @@ class Session:
             self.without_map()
             self.call("simulator/pause", SetBool.Request(data=False))
             self.call("controller/enable", SetBool.Request(data=True))
-            self.reset()
+            self.call("simulator/reset", Trigger.Request())
+            judge, done = self.judge, self.judge.now + _LATER
+            self.wait(lambda: judge.pose_stamp > done and judge.state is not None, "a pose")
+        finally:
+            self.judge.lenient_until = time.monotonic() + _NOTICED
 
     def without_map(self) -> None:
         """Take away a map that simulator and controller have received."""
         for node in ("simulator", "controller"):
             self.require_parameters(node, map_file="")
-
-    def reset(self) -> None:
-        """Put the sphere at rest at its start."""
-        self.call("simulator/reset", Trigger.Request())
-        judge, done = self.judge, self.judge.now + _LATER
-        self.wait(lambda: judge.pose_stamp > done and judge.state is not None, "a pose")
 
     @contextmanager
     def publisher(self, kind: type, topic: str, qos: Any = 10) -> Iterator[Any]:

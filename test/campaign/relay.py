@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseStamped
 from judge import Judge
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -25,6 +25,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.guarded_node import LATCHED
 
 REMAPPED = {
     "simulator": {name: f"true/{name.strip('/')}" for name in ("pose", "joint_states", "/clock")},
@@ -37,7 +38,6 @@ _STAMP = struct.Struct("<iI")
 _NEWEST = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 """As in the controller: on a busy machine retransmissions in a reliable stream take seconds, and a
 clock that lags behind the poses would be an unintended fault."""
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 Arrival = tuple[int, bytes]
 """Time at which a pose arrives [ns], and the serialised pose."""
@@ -68,16 +68,18 @@ class Relay:
             ("sent/rotor_trajectory", "rotor_trajectory", JointTrajectory, judge.trajectory),
             ("sent/rotor_commands", "rotor_commands", Float64MultiArray, judge.command),
         )
-        self._routes: list[tuple[str, Any, Any, Any]] = []
-        for source, topic, kind, look in table:
-            qos = _NEWEST if source.startswith("true") else 1000
-            taken = reader.create_subscription(kind, source, _ignore, qos, raw=True)
-            self._routes.append((topic, taken, node.create_publisher(kind, topic, 10), look))
-        self._goals = reader.create_subscription(
-            PoseStamped, "controller/active_goal", _ignore, _LATCHED, raw=True
-        )
-        self._floors = reader.create_subscription(
-            OccupancyGrid, "controller/floor", _ignore, _LATCHED, raw=True
+
+        def read(kind: type, topic: str, qos: QoSProfile | int) -> Any:
+            return reader.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+
+        self._routes = [
+            (topic, read(kind, source, _NEWEST if source.startswith("true") else 1000),
+             node.create_publisher(kind, topic, 10), look)
+            for source, topic, kind, look in table
+        ]
+        self._looks = (
+            (read(PoseStamped, "controller/active_goal", LATCHED), judge.confirmed),
+            (read(OccupancyGrid, "controller/floor", LATCHED), judge.floor),
         )
 
     def forward(self) -> None:
@@ -87,10 +89,9 @@ class Relay:
                 look(raw, about["source_timestamp"], self.shift)
                 for passed in self._passed(topic, raw):
                     publisher.publish(passed)
-        for raw, _ in taken(self._goals):
-            self._judge.confirmed(raw)
-        for raw, _ in taken(self._floors):
-            self._judge.floor(raw)
+        for subscription, take in self._looks:
+            for raw, _ in taken(subscription):
+                take(raw)
 
     def _passed(self, topic: str, raw: bytes) -> list[bytes]:
         """Return what is passed on when a message has arrived."""
@@ -129,10 +130,10 @@ class PoseStream:
         arrivals = [] if is_lost else [(now, pose)]
         for disturb in self.disturbances:
             arrivals = [out for arrival in arrivals for out in disturb(arrival, self.rng)]
-        self._pending.extend(arrivals)
-        ready = sorted((a for a in self._pending if a[0] <= now), key=lambda a: a[0])
-        self._pending = [arrival for arrival in self._pending if arrival[0] > now]
-        return [pose for _, pose in ready]
+        self._pending = sorted(self._pending + arrivals, key=lambda arrival: arrival[0])
+        ready = [pose for time, pose in self._pending if time <= now]
+        self._pending = self._pending[len(ready) :]
+        return ready
 
 
 def dropped(share: float) -> Disturbance:
@@ -238,6 +239,3 @@ def stamped(raw: bytes, stamp: int) -> bytes:
     seconds, nanoseconds = divmod(stamp, NANOSECONDS)
     return raw[:4] + _STAMP.pack(min(max(seconds, -(2**31)), 2**31 - 1), nanoseconds) + raw[12:]
 
-
-def _ignore(_: bytes) -> None:
-    """Stand for the callback of a subscription that is read without an executor."""

@@ -24,6 +24,7 @@ TOGETHER = (
 OF_A_BUSY_MACHINE = ("rotors turned for", "rotor_trajectory starts", TOO_EARLY)
 """Complaints that a busy machine alone can cause: the controller was not run for a while."""
 
+
 @pytest.mark.slow
 def test_faults_at_once_are_named_and_the_goal_is_reached_within_the_limits(tmp_path) -> None:
     plans = [(tuple(FAULTS[name] for name in names), 0) for names in TOGETHER]

@@ -32,10 +32,6 @@ _REST = 0.2
 They should rest a good second after the last pose: the pose becomes too old, the next sampling
 instant detects that, the ramp follows. On a busy machine this takes longer.
 """
-_LONGEST_LINE = 500
-"""Characters of a line of a log."""
-_TOUCHED = "wall touched"
-"""Kind of fault that the simulator reports at a contact."""
 _CATCH_UP = 0.5
 """Wall time between two trials [s]."""
 
@@ -109,7 +105,7 @@ class Trial:
         return Outcome(
             self._name, recovery, limits.worst_speed, limits.worst_slew,
             tuple(self._complaints), self._repetition,
-            memory_of(self._session.processes["controller"].pid),
+            memory_of(session.processes["controller"].pid),
         )
 
     def _apply_faults(self) -> None:
@@ -170,7 +166,7 @@ class Trial:
         if harmful and is_told and not is_named:
             words = "' or '".join(word for fault in harmful for word in fault.named_by)
             self._complaints.append(f"no message named {name_of(harmful)}: no '{words}'")
-        if session.reports.name((_TOUCHED,)) and not self._judge.contacts.excused:
+        if session.reports.name(("wall touched",)) and not self._judge.contacts.excused:
             self._complaints.append("the sphere touched an obstacle")
         self._complaints += [p.ending for p in session.processes if p.code is not None]
         for process in session.processes:
@@ -200,7 +196,7 @@ def faults_of_line(line: str) -> Iterator[str]:
         yield "an uncaught exception in the log"
     if "RuntimeWarning:" in line and "rclpy" not in line:  # rclpy's are about lost clients
         yield "a warning of a library in the log"
-    if len(line) > _LONGEST_LINE:
+    if len(line) > 500:
         yield "a long line in the log"
     if line.startswith(FORGED):
         yield "a forged line in the log"

@@ -5,14 +5,12 @@
 They are generators as those of `actions`, drawn by the random numbers of a trial.
 """
 
-import random
 import signal
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any
 
-from actions import Action
+from actions import Action, every, source
 from hostile import TEXTS, damaged, extreme, parameter_value
 from node_session import Session, SessionError
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -36,11 +34,6 @@ _RESTS_SOON = 0.5
 """The same after a signal that can be handled [s]."""
 ACCEPTING = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Fits every subscription."""
-
-
-def source(session: Session) -> random.Random:
-    """Return a source of randomness of Python."""
-    return random.Random(int(session.rng.integers(2**32)))
 
 
 def malformed(session: Session) -> Action:
@@ -106,24 +99,21 @@ def parameters(session: Session) -> Action:
 
 def services(session: Session) -> Action:
     """Services of the nodes at random moments."""
-    rng, due = source(session), 0.0
+    rng = source(session)
     # Not of the recorder: a bag of an instant has no pose.
     names = [name for name, kind in session.services.items()
              if "std_srvs" in kind.__module__ and not name.startswith("recorder/")]
 
-    def ask() -> None:
-        nonlocal due
-        if time.monotonic() < due:
-            return
-        due = time.monotonic() + rng.choice((0.0, 0.1, 0.5))
-        name = rng.choice(names)
+    def ask() -> float:
+        period, name = rng.choice((0.0, 0.1, 0.5)), rng.choice(names)
         request = session.services[name].Request()
         if isinstance(request, SetBool.Request):
             request.data = rng.random() < 0.5
         session.ask(name, request)
+        return period
 
     with session.restored():
-        yield ask
+        yield every(0.0, ask)
 
 
 def clock_jump(session: Session) -> Action:

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed loops without ROS: the paper's cases, late and noisy poses, weak drives."""
+"""Closed loops without ROS: the paper's cases, late and noisy poses, weak drives, a lossy link."""
 
 import itertools
 from dataclasses import replace
@@ -8,123 +8,120 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sampled_loop import ROBOT, SampledLoop, check_hold
 
-from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.model.disturbance import is_zero
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSE, state_error
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.model.rotation import random_quaternion
+from sphere_nmpc.model.state import POSE, flipped_sign, make_state
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import (
-    angle_errors,
-    position_errors,
-    state_errors,
-    stay_below,
-)
+from sphere_sim.evaluation.metrics import angle_errors, position_errors, state_errors, stay_below
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import Simulator
 
 pytestmark = pytest.mark.slow
 
-ROBOT = RobotParameters()
 PAPER = ControllerSettings(strategy="paper")
+FAST = ControllerSettings(planning_effort=60_000)
 
 
-def run(
-    case: int,
-    duration: float,
-    settings: ControllerSettings = PAPER,
-    controller: Controller | None = None,
-    robot: RobotParameters = ROBOT,
-    latency: float = 0.0,
-    **world: Any,
-) -> Trajectory:
+def of_case(
+    case: int, settings: ControllerSettings = ControllerSettings(), **others: Any  # noqa: B008
+) -> SampledLoop:
     scenario = PAPER_CASES[case]
-    simulator = Simulator(
-        SimulatorSettings(initial_state=tuple(scenario.start), **world), robot
-    )
+    return SampledLoop(scenario.start, settings, goal=scenario.goal, **others)
+
+
+def trajectory(loop: SampledLoop, duration: float, latency: float = 0.0) -> Trajectory:
     return run_closed_loop(
-        simulator, Controller(settings, ROBOT) if controller is None else controller,
-        scenario.goal, duration, settings.control_period, 0.05, latency,
+        loop.simulator, loop.controller, loop.goal, duration, loop.settings.control_period, 0.05,
+        latency,
     )
-
-
-def errors(case: int, trajectory: Trajectory) -> np.ndarray:
-    return state_errors(trajectory.states, PAPER_CASES[case].goal)
-
-
-def settling_time(case: int, trajectory: Trajectory) -> float:
-    stay = stay_below(trajectory.times, errors(case, trajectory))
-    return float("inf") if stay is None else stay.since
-
-
-def limits_are_kept(trajectory: Trajectory) -> None:
-    assert np.max(np.abs(trajectory.speeds)) <= ROBOT.max_rotor_speed
-    for hold in trajectory.holds:
-        slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
-        # Rounding of 100 rad/s over an interval of a second.
-        assert np.max(slopes, initial=0.0) <= ROBOT.max_rotor_acceleration + 1e-6
 
 
 @pytest.mark.parametrize(("case", "seen"), [(1, 12.3), (2, 12.6), (3, 6.6), (4, 8.6)])
 def test_case_of_the_paper_settles_at_its_known_time(case: int, seen: float) -> None:
-    found = run(case, 20.0)
+    loop = of_case(case, PAPER)
+    found = trajectory(loop, 20.0)
+    errors = state_errors(found.states, loop.goal)
+    stay = stay_below(found.times, errors)
     # Four sample periods: cases 1 and 2 pass near several local minima, and another compiler's
     # rounding may choose another one.
-    assert abs(settling_time(case, found) - seen) <= 2.0
-    assert errors(case, found)[-1] < 1e-3
-    limits_are_kept(found)
+    assert stay is not None and abs(stay.since - seen) <= 2.0
+    assert errors[-1] < 1e-3
+    assert np.max(np.abs(found.speeds)) <= ROBOT.max_rotor_speed
+    for hold in found.holds:
+        check_hold(hold)
     # The paper states less than 3.2 N m.
     assert np.max(np.abs(found.torques)) < 3.2
     assert all(d.solved for d in found.decisions)
+
+
+@pytest.mark.parametrize(
+    ("case", "limit", "rate"),
+    [(1, 6.5, 0.0), (2, 4.5, 0.0), (3, 1.75, 0.0), (4, 2.0, 0.0), (3, 2.25, 30.0), (3, 2.25, 1e2)],
+)
+def test_case_of_the_paper_settles_near_the_time_limit(
+    case: int, limit: float, rate: float
+) -> None:
+    """Between two knots a plan changes its slope at a near one, without which it is no plan."""
+    simulated = {"pose_rate": rate} if rate else {}
+    loop = of_case(case, ControllerSettings(control_rate=rate), simulated=simulated)
+    plans = loop.run(limit + 1.0)
+    assert loop.settled() <= limit
+    assert loop.error() < 1e-4
+    loop.check_limits()
+    arrivals = np.array([plan.arrival for plan in plans])
+    # By what the integration error of the plan takes to correct.
+    delays = np.diff(arrivals[np.isfinite(arrivals)])
+    assert rate or np.all(delays <= 1e-3), "never delayed without disturbance"
+
+
+@pytest.mark.parametrize("turn", [lambda state: state, flipped_sign], ids=["same", "other sign"])
+def test_present_state_as_goal_needs_no_motion(turn) -> None:
+    start = PAPER_CASES[1].start
+    loop = SampledLoop(start, goal=turn(start))
+    found = trajectory(loop, 2.0)
+    assert found.decisions[-1].plan.status is PlanStatus.HOLDING
+    np.testing.assert_array_equal(found.speeds, 0.0)
 
 
 def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
     rng = np.random.default_rng(0)
     fields = ("shell_mass", "shell_radius", "shell_inertia", "rotor_mass", "rotor_axial_inertia")
     wrong = RobotParameters(**{f: getattr(ROBOT, f) * rng.uniform(0.97, 1.03) for f in fields})
-    found = run(4, 18.0, robot=wrong, process_noise=3e-4, seed=1)
-    tail = errors(4, found)[found.times > 12.0]
+    loop = of_case(4, PAPER, robot=wrong, simulated={"process_noise": 3e-4, "seed": 1})
+    loop.run(18.0)
+    tail = loop.errors()[np.array(loop.times) > 12.0]
     # Medians of 0.018 to 0.038 and excursions of up to 0.5 were seen over eight seeds.
     assert np.median(tail) < 0.06
     assert np.max(tail) < 1.0
-    limits_are_kept(found)
+    loop.check_limits()
 
 
 def test_plans_made_ahead_and_sent_late_reach_the_goal_as_exactly() -> None:
     """While a plan is made the previous one is followed, also across its knots."""
-    settings, scenario = ControllerSettings(strategy="time_optimal"), PAPER_CASES[1]
-    start = tuple(float(v) for v in scenario.start)
-    simulator = Simulator(SimulatorSettings(initial_state=start), ROBOT)
-    controller = Controller(settings, ROBOT)
-    controller.set_goal(scenario.goal)
-    for tick, ahead in zip(
-        np.arange(0.0, 9.0, settings.control_period), itertools.cycle(3 * (0.125,) + 3 * (0.03,))
-    ):
-        simulator.advance_to(round(tick * NANOSECONDS))
-        controller.observe(tick, simulator.measured_state())
-        decision = controller.decide(tick + ahead)
-        sent = tick + 0.5 * ahead
-        simulator.advance_to(round(sent * NANOSECONDS))
-        hold = controller.commit(decision, sent)
-        if hold is not None:
-            simulator.follower.follow_trajectory(hold)
-    assert state_error(simulator.plant.state, scenario.goal) < 1e-4
-    assert controller.estimator.plant.noise < 1e-4
+    loop = of_case(1)
+    for ahead in itertools.islice(itertools.cycle(3 * (0.125,) + 3 * (0.03,)), 36):
+        loop.delay = 0.5 * ahead
+        loop.sample(ahead=ahead)
+        loop.advance(loop.settings.control_period - loop.delay)
+    assert loop.error() < 1e-4
+    assert loop.controller.estimator.plant.noise < 1e-4
 
 
 @pytest.mark.parametrize("latency", [0.05, 0.7])
 def test_age_of_a_pose_is_the_latency_and_the_state_is_predicted(latency: float) -> None:
-    settings = ControllerSettings(pose_timeout=2.0)
-    found = run(3, 3.0, settings, latency=latency)
+    loop = of_case(3, replace(PAPER, pose_timeout=2.0))
+    found = trajectory(loop, 3.0, latency)
     for k, decision in enumerate(found.decisions):
         assert decision.solved and decision.state is not None
         # Before the run the sphere is at rest, so that the first poses have the stamp 0.
-        time = k * settings.control_period
+        time = k * loop.settings.control_period
         assert decision.pose_age == pytest.approx(min(latency, time), abs=1e-9)
         assert np.linalg.norm(decision.state[POSE] - found.states[round(time / 0.05)]) < 1e-3
 
@@ -136,34 +133,28 @@ def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant:
     if plant == "rigid_body":
         pytest.importorskip("mujoco")
     noise, angle_noise = 0.005, float(np.radians(1.0))
-    settings = ControllerSettings(
-        strategy=strategy, planning_effort=60_000, pose_position_noise=noise,
-        pose_orientation_noise=angle_noise,
+    loop = of_case(
+        3, replace(FAST, strategy=strategy, pose_position_noise=noise,
+                   pose_orientation_noise=angle_noise),
+        simulated={
+            "plant": plant, "seed": 3, "position_noise": noise, "orientation_noise": angle_noise,
+            "sensor_rate": 20.0, "sensor_latency": 0.05, "sensor_dropout": 0.2,
+        },
     )
-    found = run(
-        3, 12.0, settings, plant=plant, seed=3, position_noise=noise,
-        orientation_noise=angle_noise, sensor_rate=20.0, sensor_latency=0.05, sensor_dropout=0.2,
-    )
-    states, goal = found.states[found.times > 8.0], PAPER_CASES[3].goal
-    assert np.max(position_errors(states, goal)) < 0.03
-    assert np.max(angle_errors(states, goal)) < np.radians(3.0)
-
-
-class ChangedOnTheWay(Controller):
-    """Controller of which a setting without influence on its plans changes on the way."""
-
-    def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
-        if time == 1.0:
-            self.change(replace(self._settings, pose_timeout=0.7))
-        return super().decide(time, time_budget)
+    found = trajectory(loop, 12.0)
+    states = found.states[found.times > 8.0]
+    assert np.max(position_errors(states, loop.goal)) < 0.03
+    assert np.max(angle_errors(states, loop.goal)) < np.radians(3.0)
 
 
 def test_change_of_an_unrelated_setting_changes_no_plan() -> None:
-    settings = ControllerSettings(strategy="time_optimal", planning_effort=60_000)
-    found, undisturbed = (
-        run(3, 4.0, settings, kind(settings, ROBOT)) for kind in (ChangedOnTheWay, Controller)
-    )
-    np.testing.assert_array_equal(found.states, undisturbed.states)
+    changed, unchanged = loops = of_case(3, FAST), of_case(3, FAST)
+    for loop in loops:
+        loop.run(1.0)
+        if loop is changed:
+            loop.controller.change(replace(FAST, pose_timeout=0.7))
+        loop.run(3.0)
+    np.testing.assert_array_equal(changed.states, unchanged.states)
 
 
 @pytest.mark.parametrize("torque", [1.6, None])
@@ -172,19 +163,131 @@ def test_unknown_drives_cost_little_time(torque: float | None) -> None:
     pytest.importorskip("mujoco")
     # 2.9 s were seen with weak drives, 11.1 s where their delay was taken for wrong constants, for
     # a lag or for momentum; 1.57 s on the ideal plant.
-    body, case = RigidBodySettings(torque_limit=torque or 0.0), PAPER_CASES[3]
-    plant = RigidBodyPlant(ROBOT, case.start, body)
-    simulator = Simulator(SimulatorSettings(initial_state=tuple(case.start)), ROBOT, plant)
-    settings = ControllerSettings()
-    controller = Controller(settings, ROBOT)
-    found = run_closed_loop(simulator, controller, case.goal, 5.0, settings.control_period)
-    estimated = controller.estimator.plant
+    body = RigidBodySettings(torque_limit=torque or 0.0)
+    loop = of_case(3, plant=RigidBodyPlant(ROBOT, PAPER_CASES[3].start, body))
+    loop.run(5.0)
+    estimated = loop.controller.estimator.plant
     if torque is None:
-        assert settling_time(3, found) < 2.0 and errors(3, found)[-1] < 1e-3
+        assert loop.settled() < 2.0 and loop.error() < 1e-3
         lag = 1.0 / body.for_robot(ROBOT).drive_bandwidth
         assert estimated.lag == pytest.approx(lag, abs=5e-4)
     else:
-        assert settling_time(3, found) < 3.5
+        assert loop.settled() < 3.5
         attained = torque / ROBOT.rotor_axial_inertia
         # The shell turns against its rotors, which attain a few per cent more relative to it.
         assert attained < estimated.acceleration < 1.1 * attained
+
+
+class Wire:
+    """One topic over a link; what was overtaken is dropped."""
+
+    def __init__(self, seed: int, delay: float, loss: float, bursts: tuple[float, ...]) -> None:
+        self._random = np.random.default_rng(seed)
+        self._delay, self._loss, self._bursts = delay, loss, bursts
+        self._pending: list[tuple[float, Any]] = []
+
+    def send(self, now: float, message: Any) -> None:
+        """Lose a message, or deliver it after the delay of half as much or half as much again."""
+        lost = self._random.random() < self._loss
+        if not lost and not any(start <= now < start + 2.0 for start in self._bursts):
+            due = now + self._delay * self._random.uniform(0.5, 1.5)
+            self._pending.append((due, message))
+
+    def receive(self, now: float) -> list[Any]:
+        """Return the newest message that is due, if there is one."""
+        due = [i for i, (time, _) in enumerate(self._pending) if time <= now]
+        if not due:
+            return []
+        message = self._pending[due[-1]][1]
+        del self._pending[: due[-1] + 1]
+        return [message]
+
+
+class LinkedLoop(SampledLoop):
+    """Loop with a link in between, whose clock may be late, too [s]."""
+
+    def __init__(
+        self, delay: float = 0.02, loss: float = 0.0, bursts: tuple[float, ...] = (),
+        clock_delay: float = 0.0, joint_states: bool = True,
+    ) -> None:
+        goal = make_state((0.9, -1.1), random_quaternion(np.random.default_rng(1)))
+        super().__init__(PAPER_CASES[1].start, goal=goal, simulated={"pose_rate": 50.0})
+        self.clock_delay, self.joint_states = clock_delay, joint_states
+        self.poses, self.joints, self.commands = (
+            Wire(seed, delay, loss, bursts) for seed in range(3)
+        )
+        self._copies: list[tuple[float, FirstOrderHold]] = []
+
+    def go(self) -> float:
+        """Return the time to the goal, at which the sphere stays for a second [s]."""
+        inside = 0.0
+        while self.time < inside + 1.0:
+            self.step()
+            if self.error() >= 1e-2:
+                inside = self.time
+            assert self.time < 60.0, "not reached"
+        return inside
+
+    def step(self) -> None:
+        """Advance by 10 ms: poses and copies of commands come each 20 ms, plans each 250 ms."""
+        controller = self.controller
+        self.simulator.advance_to(self.simulator.now + 10_000_000)
+        true, count = self.time, self.simulator.now // 10_000_000
+        now = true - self.clock_delay
+        if count % 2 == 0:
+            self.poses.send(true, (true, self.pose))
+            self.joints.send(true, (true, self.plant.rotor_speeds.copy()))
+        for hold in self.commands.receive(true):
+            self.simulator.follower.follow_trajectory(hold)
+        for time, speeds in self.joints.receive(true) if self.joint_states else ():
+            controller.observe_rotors(time, speeds)
+        for time, state in self.poses.receive(true):
+            controller.rotor_feedback.poses.received(time, now - time)
+            controller.observe(time, state)
+        while self._copies and self._copies[0][0] <= true:
+            self.commands.send(true, self._copies.pop(0)[1])
+        if count % 25 == 0:
+            decision = controller.decide(now + controller.rotor_feedback.window)
+            sent = controller.commit(decision, now)
+            if sent is not None:
+                self.commands.send(true, sent)
+                again = (1, 2) if controller.rotor_feedback.shows_link else ()
+                self._copies = [(true + i * 0.02, sent) for i in again]
+
+
+def test_without_a_link_nothing_is_committed_ahead() -> None:
+    loop = LinkedLoop(delay=0.0)
+    loop.go()
+    feedback = loop.controller.rotor_feedback
+    assert feedback.window == feedback.loss == 0.0 and not feedback.shows_link
+
+
+@pytest.mark.parametrize(
+    ("loss", "bursts", "clock_delay"),
+    # A burst early on, while the plan still changes: later commands repeat those that were lost.
+    [(0.2, (), 0.02), (0.05, (0.5, 10.0, 18.0), 0.0)], ids=["lost", "bursts"],
+)
+def test_lost_commands_are_no_other_plant_and_cost_little_time(
+    loss: float, bursts: tuple[float, ...], clock_delay: float
+) -> None:
+    loop = LinkedLoop(loss=loss, bursts=bursts, clock_delay=clock_delay)
+    took, estimator = loop.go(), loop.controller.estimator
+    # Over six goals within 20 mm the worst was 6.4e-4.
+    np.testing.assert_allclose(
+        estimator.plant.constants.as_array(), ROBOT.lumped.as_array(), rtol=2e-3
+    )
+    # Up to 5e-4 with measured rotor speeds, up to 1.5e-2 without.
+    assert estimator.plant.noise < 1e-3
+    assert is_zero(estimator.momentum, estimator.disturbance)
+    assert 0.02 < loop.controller.rotor_feedback.window < 0.3
+    # Without a link 4.0 s.
+    assert took < 6.0
+
+
+def test_goal_is_reached_without_joint_states() -> None:
+    """Commands are then expected to be lost as often as poses."""
+    loop = LinkedLoop(loss=0.05, joint_states=False)
+    took, feedback = loop.go(), loop.controller.rotor_feedback
+    assert 0.015 < feedback.window < 0.03 and 0.02 < feedback.loss < 0.1
+    # Over twelve goals within 0.8 m from 4.0 to 4.4 s; without the window up to 26 s, or never.
+    assert took < 6.0

@@ -164,7 +164,6 @@ def test_killed_study_keeps_its_runs(tmp_path) -> None:
 def test_interrupted_search_for_best_known_times_leaves_all_other_results(tmp_path) -> None:
     out = tmp_path / "out"
     process = study(
-        # In place, as far goals need a table for their lower bound.
         tmp_path, "--draw", "20", "--kind", "half_turn", "--duration", "0.5", "--out", str(out),
         "--jobs", "2", "--strategy", "paper",
         env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},

@@ -19,11 +19,11 @@ from geometry_msgs.msg import (
     PoseStamped,
     PoseWithCovarianceStamped,
 )
+from given_plans import Standing
 from patience import LOCKSTEP
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from standing import Standing
 
 from sphere_nmpc.model.state import Vector, upright_state
 from sphere_nmpc.own_folder import cache_folder

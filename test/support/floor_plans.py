@@ -12,9 +12,11 @@ from sphere_nmpc.model.state import Vector
 RADIUS = RobotParameters().shell_radius
 DOORWAY = [(3.0, 0.0, 3.1, 1.6), (3.0, 2.3, 3.1, 4.0)]
 """A wall with a doorway of twice the radius and 0.1 m."""
+CLOSED = [(3.0, 0.0, 3.1, 4.0)]
+LEVEL, SIDEWAYS = (1.0, 0.0, 0.0, 0.0), (0.5**0.5, 0.5**0.5, 0.0, 0.0)
 
 
-def pose(x: float, y: float, turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> Vector:
+def pose(x: float, y: float, turn: tuple[float, ...] = LEVEL) -> Vector:
     """Return a pose, shape (6,)."""
     return np.array([x, y, *turn])
 

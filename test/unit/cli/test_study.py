@@ -100,7 +100,6 @@ def test_best_known_times_are_those_of_the_robot_that_is_set(tmp_path, monkeypat
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr("sphere_sim.study.best_known.best_known_time", search)
-    # In place, as far goals need a table for their lower bound.
     options = ["--draw", "1", "--kind", "half_turn", "--duration", "0.5", "--strategy", "paper"]
     options += ["--jobs", "1"]
     robot = ["--set", "robot.shell_mass=1.5", "max_rotor_speed=60"]

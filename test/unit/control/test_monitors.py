@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from given_plans import Standing
 from robots import PALM
-from standing import Standing
 
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.controller import Controller

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from momentum_loop import settling_time
 from robots import SIZES
+from sampled_loop import settling_time
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.disturbance import (

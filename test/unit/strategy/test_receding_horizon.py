@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from integration import integrate
-from momentum_loop import settling_time
+from sampled_loop import settling_time
 from solver_problems import make_problem
 
 from sphere_nmpc.errors import InvalidParameterError

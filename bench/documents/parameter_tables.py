@@ -1,8 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Generator of msg_docs/parameters.md and config/sphere.yaml from the settings in the code.
+"""Generator of msg_docs/parameters.md, config/sphere.yaml and urdf/sphere.urdf from the code.
 
-``python bench/documents/parameter_tables.py`` in the source tree; a test compares both files with
+``python bench/documents/parameter_tables.py`` in the source tree; a test compares the files with
 what this writes.
 """
 
@@ -22,6 +22,7 @@ from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSetting
 from sphere_sim.study.conditions import OF_NODES
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.robot_description import make_urdf
 
 NODES: dict[str, Any] = {
     "simulator": SimulatorNodeSettings(), "controller": ControllerNodeSettings(),
@@ -122,6 +123,7 @@ def outputs() -> dict[Path, str]:
     return {
         _ROOT / "msg_docs" / "parameters.md": parameters_document(),
         _ROOT / "config" / "sphere.yaml": parameters_yaml(),
+        _ROOT / "urdf" / "sphere.urdf": make_urdf(RobotParameters()),
     }
 
 

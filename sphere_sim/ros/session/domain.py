@@ -22,16 +22,15 @@ _LOCK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 @contextlib.contextmanager
-def own_domain(loopback: bool = True, domains: Sequence[int] = _DOMAINS) -> Iterator[int]:
+def own_domain(domains: Sequence[int] = _DOMAINS) -> Iterator[int]:
     """Set ``ROS_DOMAIN_ID`` to a free id, unless it is set, and yield it; stay on this machine.
 
     A lock, which the system releases when the process ends, keeps the id, the first free one of
-    `domains`. With `loopback` the loopback alone is used, rather than the network that the
-    environment selects. `DomainInUseError` is raised if others publish a clock, poses or rotor
-    commands in the domain that is set, `RosEnvironmentError` for an environment that ROS refuses.
+    `domains`. The loopback alone is used, rather than the network that the environment selects.
+    `DomainInUseError` is raised if others publish a clock, poses or rotor commands in the domain
+    that is set, `RosEnvironmentError` for an environment that ROS refuses.
     """
-    if loopback:
-        use_loopback_only()
+    use_loopback_only()
     check_environment()
     given = domain_id()
     if given is not None:

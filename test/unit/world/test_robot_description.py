@@ -1,27 +1,19 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The shipped URDF against its generator and the robot's parameters."""
+"""The URDF against the robot's parameters."""
 
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from robot_description_file import FILE
 from robots import PALM
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.world.robot_description import make_urdf
 
-ROBOT = RobotParameters()
-
 
 def numbers(element, name):
     return np.array([float(word) for word in element.get(name).split()])
-
-
-def test_shipped_file_is_what_the_generator_writes():
-    expected = make_urdf(ROBOT)
-    assert FILE.read_text() == expected, "run python bench/documents/robot_description_file.py"
 
 
 @pytest.mark.parametrize("robot", [RobotParameters(rotor_mass=0.8, shell_inertia=0.05), PALM])

@@ -155,7 +155,10 @@ def test_best_orientation_loses_nothing_and_the_worst_one_does() -> None:
     assert np.all(best <= 1e-3)
     worst = table.lost(rotation.exponential(np.array([0.5 * math.pi, 0.0, 0.0])), 0.0)
     assert worst[-1] > 0.05
-    assert np.all(table.lost(rotation.random_quaternion(np.random.default_rng(1)), 1.0) >= 0.0)
+    rng = np.random.default_rng(1)
+    lost = np.array([table.lost(rotation.random_quaternion(rng), 1.0) for _ in range(50)])
+    assert np.all(np.diff(lost, axis=1) >= 0.0) and np.all(lost >= 0.0)
+    assert np.median(lost[:, -1]) > 0.05, "as of most, which are not on an edge of the table"
 
 
 def test_symmetries_of_the_robot_change_nothing() -> None:

@@ -132,6 +132,15 @@ def test_walls_that_come_and_go_leave_the_motion(name) -> None:
     assert plant.velocity[0] > 0.2
 
 
+def test_walls_that_cannot_be_made_leave_those_before(monkeypatch) -> None:
+    plant = plant_in("rigid_body", turned(0.3))
+    before = plant.contact.walls, plant._model
+    monkeypatch.setattr("sphere_sim.world.plant.rigid_body.rigid_body_plant.make_mjcf", None)
+    with pytest.raises(TypeError):
+        plant.surround(None)
+    assert (plant.contact.walls, plant._model) == before
+
+
 def test_contact_that_bounces_is_one() -> None:
     contact = Contact(turned(0.0), RADIUS)
     edge = HALF_SIDE - RADIUS

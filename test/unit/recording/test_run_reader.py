@@ -238,11 +238,14 @@ def test_errors_are_those_to_what_the_goals_demand(read, kinds, options, judged)
     run = read(given_in_turn(*kinds, **options))
     assert run.goal_times == pytest.approx(np.arange(len(judged)), abs=1e-9)
     for number, (orientation, settled, error) in enumerate(judged, start=1):
-        metrics = run.to_goal(number).metrics()
+        part = run.to_goal(number)
+        metrics = part.metrics()
         assert run.goals[number - 1] is run.goal_at(number - 0.5)
         assert (run.goals[number - 1].orientation, metrics.settled) == (orientation, settled)
         assert metrics.final_position_error_m == 0.0
         assert metrics.final_orientation_error_rad == pytest.approx(error, abs=1e-9, nan_ok=True)
+        if settled:  # the nearest pose that the goal allows is the last one
+            np.testing.assert_allclose(part.goal, part.states[-1], atol=1e-12)
         if orientation is Orientation.ANY:
             assert metrics.settle_time_s == metrics.final_error == 0.0
             first = run.errors[100 * (number - 1) : 100 * number]

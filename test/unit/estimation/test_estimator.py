@@ -189,24 +189,31 @@ def test_intervals_keep_up_with_poses_that_are_faster_than_the_control_loop(
 
 
 @BOTH
-def test_worker_that_is_busy_is_asked_again_and_gets_longer_intervals(
+def test_worker_that_is_busy_for_long_gets_few_tasks_and_then_longer_intervals(
     settings: ControllerSettings,
 ) -> None:
     clock = Clock()
-    worker = DelayedWorker(clock, DURATION)
+    worker = DelayedWorker(clock, DURATION + 0.1)
     found = Estimator(settings, LUMPED, SENT, worker=worker)
-    worker.busy = True
-    track(found, 0.5, clock, poses_per_tick=5)
-    assert worker.tasks == []
-    worker.busy = False
-    track(found, DURATION, clock, poses_per_tick=5)
-    assert len(worker.tasks) == 4, "few, while none is answered"
+    track(found, clock=clock, poses_per_tick=5)
+    assert len(worker.tasks) == 4
     worker.delay, worker.busy = 0.0, True
     track(found, DURATION + 1.0, clock, poses_per_tick=5)
     worker.busy = False
     track(found, LATER, clock, poses_per_tick=5)
     assert len(worker.tasks) > 8
     assert max(np.diff([task.time for task in worker.tasks])) < 1.5
+    assert gain(found) == pytest.approx(GAIN, rel=1e-3)
+
+
+def test_worker_that_refuses_the_beginning_is_asked_again() -> None:
+    worker = DelayedWorker(Clock(), 0.0)
+    worker.busy = True
+    found = Estimator(EXACT, LUMPED, SENT, worker=worker)
+    track(found, 1.0)
+    assert worker.tasks == []
+    worker.busy = False
+    track(found)
     assert gain(found) == pytest.approx(GAIN, rel=1e-3)
 
 

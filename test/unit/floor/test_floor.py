@@ -167,7 +167,7 @@ def test_a_floor_is_freed_with_all_that_was_kept_with_it() -> None:
         gc.enable()
 
 
-def test_ways_are_those_of_scipy() -> None:
+def test_compiled_ways_are_those_of_the_plain_search() -> None:
     rng = np.random.default_rng(3)
     cost = rng.uniform(0.5, 2.0, (60, 45)).astype(np.float32)
     cost[rng.random(cost.shape) < 0.25] = np.inf

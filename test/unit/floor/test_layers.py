@@ -122,6 +122,8 @@ def test_cells_are_computed_again_only_for_what_has_changed(monkeypatch) -> None
 
 
 def test_settings_make_the_whole_floor(tmp_path) -> None:
+    with pytest.raises(InvalidParameterError, match=r"^clearance: given -0\.1, expected 0 to 100"):
+        FloorSettings(clearance=-0.1)
     assert FloorSettings().whole(RADIUS).is_empty and FloorSettings(floor="  ").edge() is None
     file = tmp_path / "hall.yaml"
     with pytest.raises(InvalidMapError, match=r"map file .*hall\.yaml"):

@@ -4,9 +4,7 @@
 
 import fcntl
 import os
-import subprocess
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,16 +12,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from patience import PATIENCE
+from patience import until
 from ros_graph import started
 
+from sphere_nmpc.child import Child
 from sphere_nmpc.ros.network import use_loopback_only
 from sphere_sim.ros.session import other_publishers
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.ros.session.other_publishers import (
-    DomainInUseError,
-    find_publishers,
-)
+from sphere_sim.ros.session.other_publishers import DomainInUseError, find_publishers
 
 pytestmark = pytest.mark.slow
 
@@ -44,37 +40,29 @@ def locks(monkeypatch, tmp_path) -> Path:
 
 
 @pytest.fixture
-def simulator(monkeypatch) -> Iterator[subprocess.Popen]:
+def simulator(monkeypatch) -> Iterator[Child]:
     """A simulator in the domain of this session, once it is found there."""
     # The duration of a search is measured, not tested: a busy machine may need more.
     monkeypatch.setattr(other_publishers, "_SEARCHES", {True: (10.0,), False: (10.0,)})
     with started("simulator", "-p", "start_paused:=true") as process:
-        end = time.monotonic() + PATIENCE
-        while not find_publishers():
-            assert time.monotonic() < end
+        until(find_publishers)
         yield process
 
 
-@pytest.fixture
-def domain_unset(monkeypatch) -> None:
-    # Set first, so that the value of the code under test is removed at the end.
-    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    monkeypatch.delenv("ROS_DOMAIN_ID")
-
-
-def test_nodes_in_the_domain_that_is_set_are_named(simulator) -> None:
+def test_domain_in_use_is_named_where_it_is_set_and_passed_over_elsewhere(
+    simulator, locks, monkeypatch
+) -> None:
     message = rf"ROS_DOMAIN_ID: given {SESSION}, .*\(/simulator\), expected .*unset ROS_DOMAIN_ID"
     with pytest.raises(DomainInUseError, match=message), own_domain():
         pass
-
-
-def test_a_domain_in_use_is_passed_over(simulator, locks, domain_unset) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID")
     with own_domain(domains=(SESSION, *SPARE)) as domain:
         assert domain == SPARE[0] == int(os.environ["ROS_DOMAIN_ID"])
     assert "ROS_DOMAIN_ID" not in os.environ
 
 
-def test_a_domain_that_is_locked_is_passed_over(locks, domain_unset) -> None:
+def test_a_domain_that_is_locked_is_passed_over(locks, monkeypatch) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID")
     lock = locks / f"sphere_nmpc_domain_{SPARE[0]}.lock"
     lock.touch(mode=0o444)
     with lock.open() as other:

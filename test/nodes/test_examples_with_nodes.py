@@ -8,17 +8,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from documented_examples import EXAMPLES, example_command, forms, printed, run_example
 from launch_stand_in import ROOT
-from launch_stand_in import started as launched
 from patience import LOCKSTEP, PATIENCE
 from ros_graph import started, values_of
 
-from sphere_nmpc.child import module_command, python_command
+from sphere_nmpc.child import python_command
 from sphere_sim.ros.session.process_set import parameter_options, verb_command
 
 pytestmark = pytest.mark.slow
@@ -59,19 +57,6 @@ def test_robot_of_ones_own_goes_around_the_table_and_not_onto_it(monkeypatch) ->
     assert onto.stderr == "goal [0.0, 0.0]: not reached: the goal: it is occupied\n"
     (documented,) = printed("own_robot.yaml", "text")
     assert forms(there.stdout + onto.stderr) == forms(documented)
-
-
-def test_launch_starts_both_nodes_with_the_robot_of_ones_own(monkeypatch) -> None:
-    monkeypatch.chdir(ROOT)
-    given = [action["parameters"] for action in launched(f"params_file:={OWN_ROBOT[1]}")
-             if action.named.get("executable") in ("simulator", "controller")]
-    assert [parameters[0] for parameters in given] == [str(ROOT / OWN_ROBOT[1])] * 2
-    module = "sphere_sim.ros.simulator.robot_description"
-    model = subprocess.run(
-        module_command(module, "--ros-args", *OWN_ROBOT), stdout=subprocess.PIPE, check=True
-    )
-    shell = next(ElementTree.fromstring(model.stdout).iter("sphere"))
-    assert float(shell.attrib["radius"]) == 0.15
 
 
 def test_without_a_controller_the_reason_is_told() -> None:

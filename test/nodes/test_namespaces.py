@@ -10,8 +10,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
@@ -19,11 +17,11 @@ from visualization_msgs.msg import MarkerArray
 
 from sphere_nmpc.model.state import as_state, make_state, state_error
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.viewer.source import SetGoal
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SECOND = ("-r", "__ns:=/second")
 FOLLOW = ("-p", "use_sim_time:=true")
 GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
@@ -68,11 +66,9 @@ def test_every_message_is_in_the_frame_that_is_set(graph) -> None:
     markers_module = pytest.importorskip("sphere_sim.ros.viewer.markers")
     viewer_module = pytest.importorskip("sphere_sim.ros.viewer.node")
     places = [make_state((x, -3.0), (1.0, 0.0, 0.0, 0.0)) for x in (1.0, 2.0, 3.0)]
-    frame = Parameter("world_frame", value="map")
-    graph.add(SimulatorNode([frame]))
-    controller = ControllerNode([frame, Parameter("use_sim_time", value=True)])
-    graph.add(controller)
-    graph.add(markers_module.MarkerNode([frame]))
+    graph.start(SimulatorNode, world_frame="map")
+    controller = graph.start(ControllerNode, world_frame="map", use_sim_time=True)
+    graph.start(markers_module.MarkerNode, world_frame="map")
     viewer = Node("viewer")
     graph.add(viewer)
     source = viewer_module.TopicSource(viewer, "map")

@@ -8,15 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import psutil
 import pytest
 from geometry_msgs.msg import PoseStamped
-from patience import PATIENCE
-from ros_graph import Graph
+from patience import PATIENCE, until
 
+from sphere_nmpc.child import Child, stop_together
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.network import (
@@ -77,8 +76,8 @@ def test_error_names_the_variable_and_the_expected_value(name, given, expected) 
 def test_middleware_that_is_not_installed_is_refused() -> None:
     with pytest.raises(RosEnvironmentError, match=r"given 'nonesuch', expected .*rmw_"):
         check_middleware({"RMW_IMPLEMENTATION": "nonesuch"})
-    check_middleware({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
-    check_middleware({})
+    for installed in ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, {}):
+        check_middleware(installed)
 
 
 @pytest.mark.parametrize(
@@ -161,38 +160,25 @@ def test_udp_alone_is_used_unless_the_environment_selects_transports() -> None:
     assert chosen == {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 
 
-def controller(
-    environment: dict[str, str | None], within: tuple[str, ...] = ()
-) -> subprocess.Popen:
-    whole = os.environ | {"PYTHONUNBUFFERED": "1"} | environment
-    return subprocess.Popen(
-        [*within, *RUN, "controller"],
-        env={name: value for name, value in whole.items() if value is not None},
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )
-
-
 @root
 @pytest.mark.slow
-def test_node_of_a_user_without_home_exchanges_messages_with_one_of_root(tmp_path) -> None:
-    graph, lines = Graph(), []
-    environment = {"ROS_LOG_DIR": None, "HOME": None, "SPHERE_NMPC_CACHE": str(tmp_path)}
+def test_node_of_a_user_without_home_exchanges_messages_with_one_of_root(graph, tmp_path) -> None:
     tmp_path.chmod(0o777)
-    node = controller(environment, as_user(54321))  # who has no entry in the list of users
+    environment = {name: value for name, value in os.environ.items()
+                   if name not in ("ROS_LOG_DIR", "HOME")}
+    command = [*as_user(54321), *RUN, "controller"]  # who has no entry in the list of users
+    node = Child(command, "controller", tmp_path / "log", env=environment).start()
     try:
-        while not lines or "reachable" not in lines[-1]:
-            lines.append(node.stderr.readline())
-            assert lines[-1], lines
+        until(lambda: "reachable" in node.output or not node.running)
         confirmed = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
         goals = graph.publisher(PoseStamped, "goal_pose")
         goals.publish(pose_to_ros(PAPER_CASES[1].goal, 0, 0.3))
         graph.until(lambda: confirmed)
+        node.send(signal.SIGTERM)
+        assert node.wait(PATIENCE) == 0, node.output
     finally:
-        graph.close()
-        node.terminate()
-        lines.append(node.communicate(timeout=PATIENCE)[1])
-    assert node.returncode == 0, lines
-    assert sum("log file: given ~/.ros/log" in line for line in lines) == 1
+        node.kill()
+    assert node.output.count("log file: given ~/.ros/log") == 1
 
 
 def ports(process: psutil.Process) -> set[tuple[str, str, int]]:
@@ -210,27 +196,18 @@ def test_nodes_open_ports_on_the_loopback_only(tmp_path) -> None:
         if not name.startswith(("ROS_", "FAST")) or name == "ROS_DOMAIN_ID"
     } | {LOCALHOST_ONLY: "1"}
     commands = {"controller": (), "viewer": ("--port", "0")}
-    started = {
-        verb: subprocess.Popen([*RUN, verb, *arguments], env=plain, cwd=tmp_path,
-                               stdout=subprocess.DEVNULL)
-        for verb, arguments in commands.items()
-    }
-    nodes = {verb: psutil.Process(process.pid) for verb, process in started.items()}
+    nodes = [Child([*RUN, verb, *arguments], verb, tmp_path / verb, env=plain, cwd=tmp_path)
+             for verb, arguments in commands.items()]
     # Fast DDS opens three at least: for discovery, for data, and one to send from.
     wanted = {"controller": 3, "viewer": 4}
     try:
-        end = time.monotonic() + PATIENCE
-        while any(len(ports(nodes[verb])) < wanted[verb] for verb in nodes):
-            assert time.monotonic() < end, {verb: ports(nodes[verb]) for verb in nodes}
-            time.sleep(0.1)
-        for verb, process in nodes.items():
+        processes = {node.name: psutil.Process(node.start().pid) for node in nodes}
+        until(lambda: all(len(ports(processes[verb])) >= wanted[verb] for verb in processes))
+        for verb, process in processes.items():
             found = ports(process)
             assert all(ipaddress.ip_address(ip).is_loopback for _, ip, _ in found), (verb, found)
     finally:
-        for process in started.values():
-            process.send_signal(signal.SIGINT)
-        for process in started.values():
-            process.wait(PATIENCE)
+        stop_together(nodes)
 
 
 def test_profiles_for_lossy_networks_are_understood_by_fast_dds() -> None:

@@ -15,17 +15,16 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Odometry
 from patience import PATIENCE
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from verb_process import start
 
 from sphere_nmpc.child import Child
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -131,8 +130,7 @@ def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path)
     topics = ["pose", "controller/*"]
     other = graph.publisher_apart(PoseWithCovarianceStamped, "pose", LATCHED)
     first = graph.probe.create_publisher(String, "controller/any", 10)
-    node = RecorderNode([Parameter("output", value=str(bag)), Parameter("topics", value=topics)])
-    graph.add(node)
+    node = graph.start(RecorderNode, output=str(bag), topics=topics)
     graph.until(lambda: first.get_subscription_count() and node.count_publishers("/pose") == 1)
     second = graph.publisher_apart(PoseStamped, "controller/any")
     known = graph.probe.create_publisher(PoseStamped, "pose", 10)
@@ -170,8 +168,7 @@ def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path)
 )
 def test_remapped_poses_are_recorded_and_named(graph, tmp_path, says) -> None:
     bag = tmp_path / "bag"
-    node = RecorderNode([Parameter("output", value=str(bag))])
-    graph.add(node)
+    node = graph.start(RecorderNode, output=str(bag))
     status = graph.publisher(DiagnosticStatus, "controller/status")
     poses = graph.probe.create_publisher(PoseStamped, "/vrpn_mocap/ball/pose", 10)
 

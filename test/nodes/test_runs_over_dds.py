@@ -12,7 +12,6 @@ from geometry_msgs.msg import PoseStamped
 from patience import LOCKSTEP
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_graph import started
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
@@ -22,6 +21,7 @@ from sphere_nmpc.floor.route import in_sight
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import state_error
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
@@ -31,7 +31,6 @@ from sphere_sim.world.simulator import Simulator
 
 CASE = PAPER_CASES[1]
 MAP = Path(__file__).parents[2] / "config" / "maps" / "two_rooms.yaml"
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NOISY = {"process_noise": 1e-3, "seed": 5}
 COMPARED_FOR = 2.5
 """Time over which runs are compared, before any arrival [s]."""

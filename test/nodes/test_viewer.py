@@ -9,8 +9,6 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -23,6 +21,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
 from sphere_nmpc.ros.cdr import floor_message
 from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.ros.simulator.node import SimulatorNode
@@ -47,7 +46,6 @@ GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
 ROBOT = RobotParameters(
     rotor_axial_inertia=0.9, max_rotor_speed=60.0, max_rotor_acceleration=50.0
 )
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @pytest.fixture
@@ -69,12 +67,10 @@ def notices(graph, source) -> list[str]:
 
 
 def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> None:
-    simulator = SimulatorNode([Parameter("initial_state", value=START.tolist())])
-    graph.add(simulator)
+    simulator = graph.start(SimulatorNode, initial_state=START.tolist())
     given = {"use_sim_time": True, "robot.rotor_axial_inertia": 0.9,
              "robot.max_rotor_speed": 60.0, "robot.max_rotor_acceleration": 50.0}
-    controller = ControllerNode([Parameter(name, value=value) for name, value in given.items()])
-    graph.add(controller)
+    controller = graph.start(ControllerNode, **given)
     graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(GOAL, 0, 0.3))
     graph.until(lambda: controller.controller.goal is not None)
     late = Node("viewer")
@@ -141,7 +137,7 @@ def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     source.handle(Reset())
     assert notices(graph, source) == ["the lid is open"] and newest(source).notices == ()
 
-    graph.add(ControllerNode([Parameter("lockstep", value=True)]))
+    graph.start(ControllerNode, lockstep=True)
     graph.until(lambda: newest(source).capabilities.strategies)
     source.handle(SetStrategy("paper"))
     assert "lockstep" in notices(graph, source)[0]
@@ -175,7 +171,7 @@ def test_floor_is_shown_until_it_is_free_and_an_invalid_one_leaves_it(graph, sou
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_markers_are_in_the_size_of_the_robot_and_leave_out_what_no_robot_has(graph) -> None:
-    graph.add(MarkerNode())
+    graph.start(MarkerNode)
     received = graph.collect(MarkerArray, "markers")
     poses = graph.publisher(PoseStamped, "pose")
     goals = graph.probe.create_publisher(PoseStamped, "controller/active_goal", LATCHED)

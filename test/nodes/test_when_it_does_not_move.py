@@ -21,7 +21,6 @@ from geometry_msgs.msg import (
 )
 from given_plans import Standing
 from patience import LOCKSTEP
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
@@ -44,6 +43,8 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "when_it_does_not_move.md"
 ROWS = re.findall(r"^\| ([^|]+?) \|", DOCUMENT.read_text(), re.MULTILINE)
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 CASE = PAPER_CASES[1]
+
+
 def pattern(words: str) -> re.Pattern[str]:
     """Return the pattern of the log line that the row with these words documents."""
     (row,) = (row for row in ROWS if words in row)
@@ -55,18 +56,6 @@ def network(monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(graph_monitor, "network_addresses", frozenset)
     monkeypatch.setattr(graph_monitor, "reaches_other_machines", lambda: True)
-
-
-def controller(graph, **parameters) -> ControllerNode:
-    node = ControllerNode([Parameter(name, value=value) for name, value in parameters.items()])
-    graph.add(node)
-    return node
-
-
-def simulator(graph, **parameters) -> SimulatorNode:
-    node = SimulatorNode([Parameter(name, value=value) for name, value in parameters.items()])
-    graph.add(node)
-    return node
 
 
 def robot(
@@ -91,24 +80,24 @@ def robot(
 
 
 def forgotten_use_sim_time(graph) -> None:
-    simulator(graph)
-    controller(graph)
+    graph.start(SimulatorNode)
+    graph.start(ControllerNode)
 
 
 def two_simulators(graph) -> None:
-    simulator(graph)
-    simulator(graph)
-    controller(graph, use_sim_time=True)
+    graph.start(SimulatorNode)
+    graph.start(SimulatorNode)
+    graph.start(ControllerNode, use_sim_time=True)
 
 
 def pose_sent_best_effort_in_lockstep(graph) -> None:
     robot(graph, time.time, NEWEST)
-    controller(graph, use_sim_time=True, lockstep=True)
+    graph.start(ControllerNode, use_sim_time=True, lockstep=True)
 
 
 def poses_without_a_stamp(graph) -> None:
     robot(graph, time.time, measured=lambda number, now: (CASE.start, 0))
-    controller(graph)
+    graph.start(ControllerNode)
 
 
 def poses_stamped_since_the_start_of_their_driver(graph) -> None:
@@ -116,7 +105,7 @@ def poses_stamped_since_the_start_of_their_driver(graph) -> None:
     graph.probe.create_timer(0.02, lambda: poses.publish(
         pose_to_ros(CASE.start, 1 + time.monotonic_ns() - start, 0.3)
     ))
-    controller(graph)
+    graph.start(ControllerNode)
 
 
 def turning(number: int) -> Vector:
@@ -127,21 +116,21 @@ def turning(number: int) -> Vector:
 def coarse_clock(graph) -> None:
     step = 50_000_000
     robot(graph, time.time, measured=lambda number, now: (turning(number), now // step * step))
-    controller(graph)
+    graph.start(ControllerNode)
 
 
 def bunches_that_are_stamped_when_passed_on(graph) -> None:
     robot(graph, time.time, measured=lambda number, now: (
         turning(number), (now // 200_000_000 - 1) * 200_000_000 + number % 8 * 300_000
     ))
-    controller(graph)
+    graph.start(ControllerNode)
 
 
 def frames_without_the_sphere(graph) -> None:
     robot(graph, time.time, measured=lambda number, now: (
         CASE.goal if number % 20 == 10 else CASE.start, now
     ))
-    controller(graph)
+    graph.start(ControllerNode)
     graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.start, 0, 0.3))
 
 
@@ -155,7 +144,7 @@ class Slow(Standing):
 
 def map_that_takes_long(graph) -> None:
     robot(graph, time.time)
-    changes = controller(graph)._floor_receiver._changes
+    changes = graph.start(ControllerNode)._floor_receiver._changes
     make = changes._make
 
     def slow(given: Any, in_force: Any) -> Any:
@@ -172,52 +161,51 @@ def map_that_takes_long(graph) -> None:
 def cache_that_others_can_write(graph) -> None:
     cache_folder().mkdir()
     cache_folder().chmod(0o777)
-    controller(graph, goal_memory=30.0)
+    graph.start(ControllerNode, goal_memory=30.0)
 
 
 def rate_beyond_the_machine(graph) -> None:
     robot(graph, time.time)
-    node = controller(graph, control_rate=50.0)
+    node = graph.start(ControllerNode, control_rate=50.0)
     node.controller._strategy = Slow()
     graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
 
 
 def lockstep_without_controller(graph) -> None:
-    simulator(graph, lockstep=True)
+    graph.start(SimulatorNode, lockstep=True)
 
 
 def controller_without_lockstep(graph) -> None:
-    node = simulator(graph, **LOCKSTEP)
-    controller(graph, use_sim_time=True)
+    node = graph.start(SimulatorNode, **LOCKSTEP)
+    graph.start(ControllerNode, use_sim_time=True)
     graph.until(lambda: node._controller_found and node._controllers.free_running)
     node._simulated_clock._timeout = 0.0
 
 
 def robots_apart(graph) -> None:
-    simulator(graph, **{"robot.max_rotor_speed": 60.0})
-    controller(graph, use_sim_time=True)
+    graph.start(SimulatorNode, **{"robot.max_rotor_speed": 60.0})
+    graph.start(ControllerNode, use_sim_time=True)
 
 
 def recorder_without_the_namespace(graph) -> None:
     graph.probe.create_publisher(PoseStamped, "/second/pose", 10)
-    node = RecorderNode([Parameter("record_on_start", value=False)])
-    graph.add(node)
+    node = graph.start(RecorderNode, record_on_start=False)
     node._missing._due = 0.0  # told at once
 
 
 def pose_of_another_type(graph) -> None:
     graph.publisher_apart(PoseWithCovarianceStamped, "pose")
-    controller(graph)
+    graph.start(ControllerNode)
 
 
 def recorded_status_of_another_type(graph) -> None:
     graph.publisher_apart(PoseStamped, "controller/status")
-    graph.add(RecorderNode([Parameter("record_on_start", value=False)]))
+    graph.start(RecorderNode, record_on_start=False)
 
 
 def two_navigators(graph) -> None:
     navigation_messages.provide()
-    graph.add(NavigatorNode())
+    graph.start(NavigatorNode)
     graph.probe.create_publisher(GoalStatusArray, "navigate_to_pose/_action/status", LATCHED)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
-import psutil
 from patience import until
 
 from sphere_nmpc.child import end_with_parent
@@ -21,6 +20,8 @@ def wait_for_end(pids: Iterable[int]) -> None:
 
 
 def _has_ended(pid: int) -> bool:
+    import psutil  # which a session without tests of processes does not need
+
     try:
         return bool(psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
     except psutil.NoSuchProcess:

@@ -47,8 +47,10 @@ def started(verb: str, *options: str) -> Iterator[Child]:
 def running_graph(args: list[str] | None = None) -> Iterator["Graph"]:
     """Make a graph, which is closed at the end."""
     graph = Graph(args)
-    yield graph
-    graph.close()
+    try:
+        yield graph
+    finally:
+        graph.close()
 
 
 def forget_faults(node: GuardedNode) -> None:

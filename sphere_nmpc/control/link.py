@@ -14,7 +14,7 @@ import numpy as np
 from sphere_nmpc.control.recent import RECENT, Recent
 from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.posterior import SHARE_STEP
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.sent_inputs import LONGEST_WINDOW, SentInputs
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
@@ -29,8 +29,6 @@ _CLEAR = 0.5
 _KEPT = 256
 """Newest commands that may still take effect, half a second of them at the highest rate, and poses
 that delay and loss are taken of."""
-_LONGEST_WINDOW = 0.3
-"""Largest commitment window [s]: later commands count as lost."""
 NEGLIGIBLE = 0.025
 """Delay of a command up to which it counts as in time [s; of its motion for the robot of Table 1].
 That of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
@@ -211,7 +209,7 @@ class RotorFeedback:
     def window(self) -> float:
         """Delay that commands may have without being late [s]; 0 without a link."""
         late, delay = max(self._delays, default=0.0), self.poses.delay
-        return min(max(late, delay if delay > _LEAST_DELAY else 0.0), _LONGEST_WINDOW)
+        return min(max(late, delay if delay > _LEAST_DELAY else 0.0), LONGEST_WINDOW)
 
     @property
     def loss(self) -> float:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.units import TABLE_1_UNITS, RobotUnits
+from sphere_nmpc.model.units import DEFAULT_MAX_STEP, TABLE_1_UNITS, RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
 ENTRY_POINTS = "sphere_nmpc.strategies"
@@ -64,8 +64,6 @@ _SHORTEST = {"sample_period": 1e-2, "integration_step": 1e-3}
 """Least values of times that are given [s]."""
 _INPUT_WEIGHT = 0.5
 """The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
-_INTEGRATION_STEP = 0.1
-"""Longest step of the prediction [s; for the robot of Table 1]."""
 
 
 S = TypeVar("S", bound="ControllerSettings")
@@ -200,7 +198,7 @@ class ControllerSettings:
     @property
     def longest_step(self) -> float:
         """Longest step of the prediction [s]: as given, or in proportion to the robot's time."""
-        return self.integration_step or _INTEGRATION_STEP * self.units.time
+        return self.integration_step or DEFAULT_MAX_STEP * self.units.time
 
     @cached_property
     def control_period(self) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.goal_motion import GoalMotion, current
-from sphere_nmpc.control.keeping_clear import LATE, clear_command, clear_plan, stop_if_refused
-from sphere_nmpc.control.link import REACH, Commands, RotorFeedback
+from sphere_nmpc.control.keeping_clear import clear_command, clear_plan, stop_if_refused
+from sphere_nmpc.control.link import NEGLIGIBLE, REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
     Progress,
@@ -390,7 +390,7 @@ class Controller:
         sent = commands.rest_of(hold, start)
         if sent is None:
             period, planned = self._settings.control_period, self._planned
-            late = start - decision.plan.hold.start > LATE * self._settings.units.time
+            late = start - decision.plan.hold.start > NEGLIGIBLE * self._settings.units.time
             if late and planned is not None and planned.is_certified:
                 sent = clear_command(
                     planned.situation, hold, commands, start, period, self._robot

@@ -25,10 +25,8 @@ _WINDOW, _WIDEST = 1.5, 1.5
 """Time [s] of which goals are kept, and turn [rad] up to which they are on a line."""
 _SPACING = 0.04
 """Least time between goals that are kept [s], but for the newest one."""
-_LEAST, _FIRST = 3, 5
-"""Number of goals from which on a rate is estimated, and before their noise is known."""
-_FORGETTING = 0.8
-"""Least noise over that before one more goal [-]: that of few goals may be small by chance."""
+_LEAST = 3
+"""Number of goals from which on a rate and their noise are estimated."""
 _SIGNIFICANT = 4.0
 """Standard deviations [-] beyond which a rate is one, and a change of its own."""
 _CHANGED = 6.0
@@ -97,7 +95,7 @@ class GoalMotion:
         newest = self._given[-1][1]
         errors = np.array([error_between(newest, pose) for _, pose in self._given])
         ages, count = times - times[-1], times.size
-        if count < (_FIRST if self._noise is _LEAST_NOISE else _LEAST):
+        if count < _LEAST:
             return replace(goal, pose=newest, rate=STANDING, since=float(times[-1]))
         mean, centred = np.mean(errors, axis=0), ages - np.mean(ages)
         spread = float(centred @ centred)
@@ -113,7 +111,7 @@ class GoalMotion:
             np.sqrt(np.sum(left[:, part] ** 2) / ((count - 2.0) * (part.stop - part.start)))
             for part in _PARTS
         ])
-        self._noise = np.maximum(np.maximum(noise, _FORGETTING * self._noise), _LEAST_NOISE)
+        self._noise = np.maximum(noise, _LEAST_NOISE)
         for part, sigma in zip(_PARTS, self._noise, strict=True):
             if np.linalg.norm(slope[part]) > _SIGNIFICANT * sigma / np.sqrt(spread):
                 rate[part] = slope[part]

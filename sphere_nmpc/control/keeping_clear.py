@@ -19,11 +19,6 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import stop
 
-LATE = 0.04
-"""Delay of a command from which on its motion is certified as well [s; for the robot of Table 1]:
-that of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
-delay, and a plan that is followed has a margin of 2.1 mm."""
-
 
 def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None:
     """Return a stop where the goal is refused, whatever a plan would be; None where it is not."""

@@ -11,10 +11,10 @@ from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.control.recent import Recent
+from sphere_nmpc.control.recent import RECENT, Recent
 from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.posterior import SHARE_STEP
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.sent_inputs import LONGEST_WINDOW, SentInputs
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
@@ -27,22 +27,19 @@ _DISTINCT = 0.5
 _CLEAR = 0.5
 """Distance to the command that is followed over that to the other one, below which it is clear."""
 _KEPT = 256
-"""Newest commands that may still take effect: half a second of them at the highest rate."""
-_LONGEST_WINDOW = 0.3
-"""Largest commitment window [s]: later commands count as lost."""
-_NEGLIGIBLE = 0.025
-"""Delay of a command up to which it counts as in time [s]."""
+"""Newest commands that may still take effect, half a second of them at the highest rate, and poses
+that delay and loss are taken of."""
+NEGLIGIBLE = 0.025
+"""Delay of a command up to which it counts as in time [s; of its motion for the robot of Table 1].
+That of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
+delay, and a plan that is followed has a margin of 2.1 mm."""
 _SPACINGS = 1.25
 """Delay up to which a command also counts as in time [spacings of the measurements]: a clock that
 is a topic has the same spacing, and commands are late by that alone."""
-_COMMANDS = 32
-"""Newest commands of which delay and loss are taken, and measurements of which the spacing is."""
 _LEAST_DELAY = 5e-3
 """Delay of poses [s] below which there is no link, only the time that a message takes."""
 _LOSSY = 0.01
 """Share of lost commands up to which the link counts as without losses."""
-_POSES = 256
-"""Newest poses that delay and loss are taken of."""
 
 
 class Commands:
@@ -132,8 +129,8 @@ class PoseLink:
     """
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_POSES)
-        self._ages = Recent(_POSES)
+        self._times: deque[float] = deque(maxlen=_KEPT)
+        self._ages = Recent(_KEPT)
 
     def received(self, time: float, age: float) -> None:
         """Record a pose measured at `time` [s], which is `age` old; nan if that is unknown."""
@@ -190,7 +187,7 @@ class RotorFeedback:
         self.poses = PoseLink()
         """What the poses tell of the link."""
         self._is_measured = False
-        self._delays, self._losses = Recent(_COMMANDS), Recent(_COMMANDS)
+        self._delays, self._losses = Recent(), Recent()
         self.delay = float("nan")
         """Delay of the newest late command from sending to its effect [s]; nan without any."""
         self.reset()
@@ -201,7 +198,7 @@ class RotorFeedback:
         self._waiting: deque[tuple[FirstOrderHold, bool]] = deque(maxlen=_KEPT)
         self._measured: tuple[float, Vector] = (float("-inf"), np.zeros(INPUT_SIZE))
         self._between: list[tuple[float, Vector]] = []
-        self._gaps = Recent(_COMMANDS)
+        self._gaps = Recent()
         self.resume()
 
     def resume(self) -> None:
@@ -212,7 +209,7 @@ class RotorFeedback:
     def window(self) -> float:
         """Delay that commands may have without being late [s]; 0 without a link."""
         late, delay = max(self._delays, default=0.0), self.poses.delay
-        return min(max(late, delay if delay > _LEAST_DELAY else 0.0), _LONGEST_WINDOW)
+        return min(max(late, delay if delay > _LEAST_DELAY else 0.0), LONGEST_WINDOW)
 
     @property
     def loss(self) -> float:
@@ -223,7 +220,7 @@ class RotorFeedback:
     @property
     def is_needed(self) -> bool:
         """Whether measured speeds are of use: not where all commands take effect in time."""
-        return self._known < _COMMANDS or self.shows_link
+        return self._known < RECENT or self.shows_link
 
     @property
     def shows_link(self) -> bool:
@@ -309,7 +306,7 @@ class RotorFeedback:
     def _negligible(self) -> float:
         """Delay up to which a command counts as in time [s]."""
         spacing = min(self._gaps, default=0.0)
-        return max(_NEGLIGIBLE, _SPACINGS * spacing)
+        return max(NEGLIGIBLE, _SPACINGS * spacing)
 
     def _overdue(self, due: list[int], time: float) -> None:
         """Withdraw commands that are not followed at `time` [s] though they should be."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.decision import Decision
+from sphere_nmpc.control.pose_stream import SAME_POSE
 from sphere_nmpc.model.disturbance import (
     Disturbance,
     push_against,
@@ -42,8 +43,6 @@ _STANDING = 2e-3
 """Share of the largest speed [-] up to which a sphere stands, in the mean over that time."""
 _FALLEN = 0.95
 """Share of an error [-] below which it has fallen."""
-_SAME_POSE = 5.0
-"""Standard deviations of a measured pose [-] within which two poses do not differ."""
 _IGNORED = 4.0
 """Rolling that the rotor speeds sent should have caused, over what counts as standing [-], above
 which they have had no effect."""
@@ -194,7 +193,7 @@ class Progress:
     def _noise(self, settings: ControllerSettings) -> float:
         """Return the rolling [rad] that two noisy poses of one place may differ by."""
         position = settings.pose_position_noise / self._radius
-        return _SAME_POSE * max(position, settings.pose_orientation_noise)
+        return SAME_POSE * max(position, settings.pose_orientation_noise)
 
     def _cause(self, decision: Decision, ignored: float) -> str:
         """Return what is known of the cause, such as `ignored` rolling [rad] of the rotors."""
@@ -229,7 +228,7 @@ def _tolerance(settings: ControllerSettings) -> float:
         math.sqrt(0.75) * settings.pose_orientation_noise,
     )
     position, angle = settings.tolerances
-    return min(position, 0.5 * angle) + _SAME_POSE * noise
+    return min(position, 0.5 * angle) + SAME_POSE * noise
 
 
 def _excess(speeds: Vector, decision: Decision, time: float) -> float:

@@ -3,11 +3,11 @@
 """Monitors of the stream of measured poses: outliers, jumps, and stamps that are not exact."""
 
 import math
-from collections import deque
 
 import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.estimation.pose_filter import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
@@ -17,14 +17,10 @@ _FASTEST = 10.0
 """Rate of the shell that a push may cause, over the largest that the rotors cause [-]."""
 _SMALLEST = 0.1
 """Turn of the shell [rad], and displacement in radii, that noise may be without being told."""
-_NO_STEP = 8.0
-"""Standard deviations of a measured pose [-] within which a step may be noise."""
+SAME_POSE = 5.0
+"""Standard deviations of a measured pose [-] within which two poses do not differ."""
 _WRONG_BY = 0.1
 """Time by which stamps may be wrong [s]: poses that a bridge sends in bunches."""
-_GAPS = 64
-"""Newest gaps between stamps that are looked at."""
-_ENOUGH = 20
-"""Gaps from which on something is told about them."""
 _SHARE = 0.2
 """Share of the gaps that has to be wrong for it."""
 _INEXACT = 2e-3
@@ -91,8 +87,8 @@ class PoseGate:
         """
         elapsed = time - before[0]
         turn = self._rate * (_FASTEST * elapsed + _WRONG_BY) + _SMALLEST
-        way = self._radius * turn + _NO_STEP * settings.pose_position_noise
-        turn += _NO_STEP * settings.pose_orientation_noise
+        way = self._radius * turn + SAME_POSE * settings.pose_position_noise
+        turn += SAME_POSE * settings.pose_orientation_noise
         (x, y), (then_x, then_y) = pose[POSITION].tolist(), before[1][POSITION].tolist()
         moved = math.hypot(x - then_x, y - then_y)
         half_cosine = abs(float(before[1][QUATERNION] @ pose[QUATERNION]))
@@ -110,7 +106,7 @@ class StampWatch:
 
     def __init__(self) -> None:
         self._newest: tuple[float, Vector] = (math.nan, np.empty(0))
-        self._gaps: deque[float] = deque(maxlen=_GAPS)
+        self._gaps = Recent()
         self.deviation = 0.0
         """Standard deviation of the stamps that the motion shows [s]."""
 
@@ -122,7 +118,7 @@ class StampWatch:
 
     def fault(self) -> Condition | None:
         """Return what is wrong with the stamps, and the remedy; None if nothing is."""
-        gaps = np.array(self._gaps) if len(self._gaps) >= _ENOUGH else np.empty(0)
+        gaps = np.array(self._gaps) if self._gaps.is_full else np.empty(0)
         count = max(1, gaps.size)
         mean = float(np.sum(gaps)) / count
         short = SHORT_GAP * mean

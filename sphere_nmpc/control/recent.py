@@ -5,11 +5,14 @@
 import math
 from collections import deque
 
+RECENT = 32
+"""Newest values from which is told what lasts."""
+
 
 class Recent(deque[float]):
     """Newest values of a stream, at most `window` of them."""
 
-    def __init__(self, window: int) -> None:
+    def __init__(self, window: int = RECENT) -> None:
         super().__init__(maxlen=window)
 
     @property

@@ -27,8 +27,6 @@ PLANNING_SHARE = 0.4
 the rest is for other processes."""
 _LEAST_SHARE = 0.1
 """Share of the control period that planning may take at any tick, however late it is."""
-_RECENT = 32
-"""Newest plans, of which the next one is expected to take no longer than the longest."""
 _NEGLIGIBLE = 0.02
 """Share of the control period up to which a command counts as sent at its instant."""
 
@@ -93,7 +91,8 @@ class Schedule:
         self._watch = watch
         self._origin: float | None = None
         self._last = 0
-        self._took = Recent(_RECENT)
+        self._took = Recent()
+        """Durations of the newest plans; the next one is expected to take no longer than these."""
         self.starting = True
         """Whether the next plan is the first one towards a goal."""
         self.answered: int | None = None

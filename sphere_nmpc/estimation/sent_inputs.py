@@ -11,8 +11,9 @@ from sphere_nmpc.model.state import INPUT_SIZE, Vector
 
 _KEPT = 2048
 """Holds remembered: two seconds at the highest control rate, a quarter of an hour at 2 Hz."""
-_SILENCE = 0.5
-"""Time without measured speeds after which none are awaited [s]."""
+LONGEST_WINDOW = 0.3
+"""Largest commitment window [s]: later commands count as lost, and after as long without measured
+speeds none are awaited."""
 
 
 class SentInputs:
@@ -66,7 +67,7 @@ class SentInputs:
 
         Not if none were received for a while at `now` [s].
         """
-        return now - _SILENCE < self.known_until < time - SHORTEST
+        return now - LONGEST_WINDOW < self.known_until < time - SHORTEST
 
     @property
     def newest(self) -> FirstOrderHold | None:

@@ -19,9 +19,7 @@ from sphere_nmpc.model.symbolic_rotation import (
     quaternion_exponential,
     quaternion_product,
 )
-
-DEFAULT_MAX_STEP = 0.1
-"""Longest integration step [s]; error of a 0.5 s interval about 1.5e-4 at the 99th percentile."""
+from sphere_nmpc.model.units import DEFAULT_MAX_STEP
 
 _SIZES = {"q": 4, "momentum": 3, "u_start": 2, "u_end": 2, "h": 1, "p": 4, "torques": 5}
 """Arguments of `cf4_step`."""

@@ -13,8 +13,8 @@ from typing import Annotated
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.units import DEFAULT_MAX_STEP
 
 
 def _always(*values: float) -> Callable[[], Vector]:

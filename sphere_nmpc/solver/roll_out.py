@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.units import DEFAULT_MAX_STEP
 from sphere_nmpc.solver import plain
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.solver.plain import Propagation

@@ -77,8 +77,6 @@ _TRACKED, _TRACKING_PERIOD = 6, 0.2
 """Knots of the problem that tracks a goal, and their spacing [s; for the robot of Table 1]."""
 _TRACKING_WEIGHT = 1e-3
 """Weight of the squared rotor speeds over those of the largest ones [-] in that problem."""
-_TRACKING_ITERATIONS = 30
-"""Cap on the iterations of that problem."""
 
 
 class AtRest:
@@ -295,7 +293,6 @@ def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
     return replace(
         settings, horizon=_TRACKED, sample_period=_TRACKING_PERIOD * time, terminal_weight=1.0,
         input_weight=_TRACKING_WEIGHT / settings.units.max_speed**2,
-        max_iterations=_TRACKING_ITERATIONS,
     )
 
 

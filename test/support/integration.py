@@ -4,8 +4,9 @@
 
 import numpy as np
 
-from sphere_nmpc.model.integrator import DEFAULT_MAX_STEP, step_function, steps_for
+from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.units import DEFAULT_MAX_STEP
 
 
 def integrate(

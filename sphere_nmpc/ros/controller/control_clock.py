@@ -9,7 +9,7 @@ from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.node import Node
 from rclpy.time import Time
 
-from sphere_nmpc.control.timing import ClockWatch
+from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import clock_stamp, seconds
 
@@ -74,6 +74,10 @@ class ControlClock:
     def time_of(self, stamp: int) -> float:
         """Return the control time [s] of a stamp [ns]."""
         return (stamp - self.epoch) / NANOSECONDS
+
+    def is_near(self, stamp: int, now: float) -> bool:
+        """Return whether a stamp [ns] is of this clock, which shows `now` [s], not of another."""
+        return abs(self.time_of(stamp) - now) < MOST_AHEAD
 
     def hear(self, message: bytes) -> None:
         """Set the node's clock to that of a serialised message on ``/clock``."""

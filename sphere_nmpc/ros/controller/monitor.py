@@ -27,8 +27,6 @@ SILENCE_LIMIT = 1.25
 discovered each other by then, and with checks every half second faults are logged within two."""
 _OTHER_CLOCK_AGE = 1e6
 """Age of a pose beyond which its stamp is of another kind of clock, not merely late [s]."""
-_COMPARE_EVERY = 1.0
-"""Wall time between two comparisons of all profiles [s]; each takes longer than a tick."""
 
 
 class ControllerMonitor:
@@ -54,8 +52,7 @@ class ControllerMonitor:
         self._time_changed_at = self._pose_seen_at = time.monotonic()
         self._pose_age = math.nan
         self._incompatible: list[Condition] = []
-        # Until then a publisher of another type may be the only one that has been discovered.
-        self._compared_at = self._pose_seen_at + SILENCE_LIMIT - _COMPARE_EVERY
+        self._compared_at = self._pose_seen_at
         self._pose_received = False
 
     @property
@@ -124,7 +121,9 @@ class ControllerMonitor:
                 f"given a step of {jump:+.6g} s, expected a clock that runs on; "
                 "nothing is sent until it does",
             ))
-        if wall >= self._compared_at + _COMPARE_EVERY:
+        # A comparison of all profiles takes longer than a tick, and before the first one a
+        # publisher of another type may be the only one that has been discovered.
+        if wall >= self._compared_at + SILENCE_LIMIT:
             self._compared_at, self._incompatible = wall, graph.incompatible()
         if any(fault.subject == self.pose_topic for fault in self._incompatible):
             found = [fault for fault in found if fault.kind is not Kind.POSE_MISSING]

@@ -53,10 +53,6 @@ _CHECK_EVERY = 0.25
 """Wall time between two checks of clock, pose and topics [s]."""
 _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
-_SELDOM = 0.05
-"""Control period above which a command that may be lost is sent again before the next one [s]."""
-_OTHER_CLOCK = 1.0
-"""Age of a goal by its stamp [s] from which on that counts as of another clock."""
 _GOAL_TOLD_EVERY = 0.1
 """Least wall time between two reports of one goal that is given again and again [s]."""
 _SAVE_EVERY = 1.0
@@ -259,9 +255,8 @@ class ControllerNode(GuardedNode):
         starts = schedule.command_time(request, time.perf_counter() - began)
         hold = controller.commit(decision, starts) or schedule.answer(request)
         if hold is not None:
-            seldom = schedule.is_real_time and self._period > _SELDOM
-            repeated = seldom and controller.rotor_feedback.shows_link
-            self._sender.send(hold, epoch, repeated)
+            may_be_lost = schedule.is_real_time and controller.rotor_feedback.shows_link
+            self._sender.send(hold, epoch, is_repeated=may_be_lost)
         ended = time.perf_counter()
         schedule.completed(ended - began, decision.solved)
         self._reports.tick(decision, request.instant, ended - began, ended, epoch)
@@ -307,7 +302,7 @@ class ControllerNode(GuardedNode):
         """Visit goals; those that are in force already are only confirmed."""
         clock, wall = self._control_clock, time.monotonic()
         now = given = clock.steady_now()
-        if now is not None and abs(now - clock.time_of(goals.stamp)) < _OTHER_CLOCK:
+        if now is not None and clock.is_near(goals.stamp, now):
             given = clock.time_of(goals.stamp)
         is_new = self.controller.set_goals(goals, given)
         self._stored_goal.supersede()

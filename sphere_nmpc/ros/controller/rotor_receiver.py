@@ -19,8 +19,6 @@ from sphere_nmpc.ros.guarded_node import GuardedNode
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _SPACING = 8e-3
 """Wall time between two messages that are read [s]: delays of a link are longer than this."""
-_OTHER_CLOCK = 1.0
-"""Age, or time ahead of the clock, beyond which a message is of another clock [s]."""
 
 _LARGEST = 100_000, "some thousand joints"
 """Size of the largest message [bytes]."""
@@ -66,7 +64,6 @@ class RotorReceiver:
             return
         if now is None or speeds is None:
             return
-        time = self._clock.time_of(stamp)
-        if abs(time - now) < _OTHER_CLOCK:
+        if self._clock.is_near(stamp, now):
             self._read_at = wall
-            self._controller.observe_rotors(time, speeds)
+            self._controller.observe_rotors(self._clock.time_of(stamp), speeds)

@@ -50,12 +50,9 @@ _Kind = TypeVar("_Kind", LeastSquaresProblem, MinimumTimeProblem)
 
 _REGULARISATION = 1e-12
 """Input weight of a trial that only keeps the normal equations regular."""
-_LEAST_DECREASE = 1e-6
-"""Decrease of the cost by an iteration [of the cost] below which a trial stops."""
-_TRIAL_TARGET = 1e-8
-"""Cost at which a trial stops: a terminal error of 1e-4."""
-_LEAST_GAIN = 1e-4
-"""Decrease of the duration by a step [of the unit of time] below which an arrival is converged."""
+LEAST_GAIN = 1e-4
+"""Time [of the unit of time] by which an arrival has to be earlier to be another: less by a step
+of a solve, it is converged, and a plan that is found does not replace the one in force."""
 _FIRST_PROXIMAL = 1.0
 """First proximal weight of a minimum-time problem [of the unit of time]."""
 _KEEPING = 100.0
@@ -90,13 +87,10 @@ class ArrivalSolver:
         self._max_speed = robot.max_rotor_speed
         self._acceleration = robot.max_rotor_acceleration
         self._trial = SolverSettings(
-            max_iterations=settings.trial_iterations, gradient_tolerance=0.0,
-            decrease_tolerance=_LEAST_DECREASE, target_cost=_TRIAL_TARGET,
+            max_iterations=settings.trial_iterations, gradient_tolerance=0.0
         )
 
-    def trial(
-        self, situation: Situation, goal: Goal, guess: FirstOrderHold, aware: bool = False
-    ) -> Plan:
+    def trial(self, situation: Situation, goal: Goal, guess: FirstOrderHold) -> Plan:
         """Return the motion of the duration of a guess that ends nearest to the goal.
 
         Parameters
@@ -109,11 +103,9 @@ class ArrivalSolver:
             Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
             momentum along its motion is added, so that the same motion results but for a turn
             about the body's z axis.
-        aware : bool, optional
-            Whether the guess has that already.
         """
         durations, knots = np.diff(guess.times), guess.speeds[1:]
-        if not aware and not is_zero(situation.momentum, situation.disturbance):
+        if not is_zero(situation.momentum, situation.disturbance):
             knots = knots + self._compensation(situation, durations, knots)
         momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
         rest = speeds_of_rest(momentum, goal.pose[QUATERNION], self._max_speed)
@@ -183,7 +175,7 @@ class ArrivalSolver:
             self._roll_steadily(problem, rolling, guess.speeds[1:], steady, turns)
         settings = SolverSettings(
             max_iterations=iterations or tuning.iterations,
-            decrease_floor=_LEAST_GAIN * self.grid.unit,
+            decrease_floor=LEAST_GAIN * self.grid.unit,
             initial_damping=(_KEEPING if kept else _FIRST_PROXIMAL) * self.grid.unit,
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )

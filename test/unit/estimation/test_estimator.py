@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
-from estimated_motion import LUMPED, START, predicted, random_ramps
+from motions import LUMPED, START, predicted, random_ramps
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.motion import Interval

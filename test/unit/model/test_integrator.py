@@ -4,7 +4,7 @@
 
 import casadi as ca
 import numpy as np
-from integration import integrate
+from motions import integrate
 
 from sphere_nmpc.model.integrator import step_function
 from sphere_nmpc.model.parameters import RobotParameters

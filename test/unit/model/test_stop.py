@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from paths import largest_distance, moved
+from motions import largest_distance, moved
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters

@@ -6,11 +6,12 @@ import fcntl
 import importlib.machinery
 import os
 import signal
+import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -54,7 +55,31 @@ os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
 from sphere_nmpc.ros.network import use_loopback_only  # noqa: E402
 
 use_loopback_only()
-from children import end_with_this_process  # noqa: E402
+from sphere_nmpc.child import END_SIGNALS, end_with_parent  # noqa: E402
+
+
+def end_with_this_process() -> None:
+    """Let all processes that are started from now on end when this one is killed.
+
+    On Linux they then receive SIGTERM, also when the thread ends that has started them.
+    """
+    begin = subprocess.Popen.__init__
+
+    def begin_bound(
+        self: subprocess.Popen, *arguments: Any, preexec_fn: Callable[[], object] | None = None,
+        **options: Any,
+    ) -> None:
+        parent = os.getpid()
+
+        def prepare() -> None:
+            end_with_parent(parent)
+            if preexec_fn is not None:
+                preexec_fn()
+
+        begin(self, *arguments, preexec_fn=prepare, **options)
+
+    subprocess.Popen.__init__ = begin_bound  # type: ignore[method-assign]
+
 
 end_with_this_process()
 
@@ -86,8 +111,6 @@ def _signals_have_their_defaults() -> None:
     An ignored signal is inherited: from a shell that started the session in the background, or
     from a node in the session that ignored further signals at its end.
     """
-    from sphere_nmpc.child import END_SIGNALS
-
     for number in END_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)

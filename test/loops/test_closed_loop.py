@@ -26,7 +26,6 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 pytestmark = pytest.mark.slow
 
 PAPER = ControllerSettings(strategy="paper")
-FAST = ControllerSettings(planning_effort=60_000)
 
 
 def of_case(
@@ -134,8 +133,10 @@ def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant:
         pytest.importorskip("mujoco")
     noise, angle_noise = 0.005, float(np.radians(1.0))
     loop = of_case(
-        3, replace(FAST, strategy=strategy, pose_position_noise=noise,
-                   pose_orientation_noise=angle_noise),
+        3, ControllerSettings(
+            strategy=strategy, planning_effort=60_000, pose_position_noise=noise,
+            pose_orientation_noise=angle_noise,
+        ),
         simulated={
             "plant": plant, "seed": 3, "position_noise": noise, "orientation_noise": angle_noise,
             "sensor_rate": 20.0, "sensor_latency": 0.05, "sensor_dropout": 0.2,
@@ -145,16 +146,6 @@ def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant:
     states = found.states[found.times > 8.0]
     assert np.max(position_errors(states, loop.goal)) < 0.03
     assert np.max(angle_errors(states, loop.goal)) < np.radians(3.0)
-
-
-def test_change_of_an_unrelated_setting_changes_no_plan() -> None:
-    changed, unchanged = loops = of_case(3, FAST), of_case(3, FAST)
-    for loop in loops:
-        loop.run(1.0)
-        if loop is changed:
-            loop.controller.change(replace(FAST, pose_timeout=0.7))
-        loop.run(3.0)
-    np.testing.assert_array_equal(changed.states, unchanged.states)
 
 
 @pytest.mark.parametrize("torque", [1.6, None])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from floor_plans import RADIUS
-from paths import largest_distance
+from motions import largest_distance
 from sampled_loop import SampledLoop, check_hold
 
 from sphere_nmpc.conditions import Kind

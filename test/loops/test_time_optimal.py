@@ -136,18 +136,6 @@ def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettin
         np.testing.assert_array_equal(found, wanted)
 
 
-def test_goal_that_changes_every_second_violates_no_limit() -> None:
-    rng = np.random.default_rng(8)
-    loop = SampledLoop(upright_state(0.0, 0.0, 0.0), replace(SETTINGS, planning_effort=20_000))
-    for _ in range(4):
-        loop.controller.set_goal(make_state(rng.uniform(-1.0, 1.0, 2), random_quaternion(rng)))
-        loop.run(1.0)
-    loop.check_limits()
-    slopes = np.diff(loop.speeds, axis=0) / np.maximum(np.diff(loop.times), 1e-9)[:, None]
-    assert np.max(np.abs(slopes)) <= LIMIT + 1e-6
-    assert loop.controller.failures == 0
-
-
 def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
     now = of_case(3)
     weak = replace(now, acceleration=0.5 * LIMIT)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from delayed_worker import DelayedWorker
-from paths import moved
+from motions import moved
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller

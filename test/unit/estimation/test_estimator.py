@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
-from estimated_motion import LUMPED, START, predicted, random_ramps
+from motions import LUMPED, START, predicted, random_ramps
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.motion import Interval

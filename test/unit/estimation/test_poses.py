@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimated_motion import LUMPED, START, predicted, random_ramps
+from motions import LUMPED, START, predicted, random_ramps
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate

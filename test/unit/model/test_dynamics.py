@@ -7,7 +7,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from integration import integrate
+from motions import integrate
 from robots import HEAVY_ROTORS
 from scipy.spatial.transform import Rotation
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paths import largest_distance, moved
+from motions import largest_distance, moved
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from integration import integrate
+from motions import integrate
 from sampled_loop import settling_time
 from solver_problems import make_problem
 

@@ -1,11 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A study on a map: contacts with its walls, what is drawn and written, and what is refused."""
+"""Runs of a study: what is recorded of them, pushes, and maps with their contacts and refusals."""
 
 import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,42 +14,128 @@ import pytest
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.model.state import POSITION, as_state
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, upright_state
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.cli.main import main as command
-from sphere_sim.evaluation.closed_loop import run_closed_loop
+from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import FLOOR_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
-from sphere_sim.study.single_run import floor_of, run_scenario
+from sphere_sim.study.single_run import floor_of, followed_inputs, prepare, run_scenario
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
+from sphere_sim.world.plant.rolling_plant import RollingPlant
 
 pytestmark = pytest.mark.slow
 
-ACROSS = Scenario(as_state([-1.0, 0.0, 1, 0, 0, 0]), as_state([1.0, 0.0, 1, 0, 0, 0]))
+SCENARIO = draw_scenarios(1, 5)[0]
+PUSHED = replace(SCENARIO, push=Push(1.234567891, (0.3, -0.4)))
+SHORT = StudyConditions(duration=4.0)
+
+
+def run(
+    conditions: StudyConditions, scenario: Scenario, duration: float, period: float
+) -> Trajectory:
+    simulator, controller = prepare(conditions, scenario)
+    return run_closed_loop(
+        simulator, controller, scenario.goal, duration, period, push=scenario.push
+    )
+
+
+@pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
+def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
+    if plant == "rigid_body":
+        pytest.importorskip("mujoco")
+    conditions = SHORT.with_settings([("plant", plant)])
+    still, pushed = (run(conditions, scenario, 2.0, 0.5) for scenario in (SCENARIO, PUSHED))
+    assert not still.at_push.size
+    before = pushed.times < 1.234
+    # The contact is integrated in other steps up to the push, which is between two samples.
+    np.testing.assert_array_equal(pushed.states[before], still.states[before])
+    assert np.max(np.abs(pushed.states[-1] - still.states[-1])) > 0.05
+    momentum = pushed.at_push[8:]
+    np.testing.assert_allclose(momentum, [0.3 * 0.4, 0.3 * 0.3, 0.0], atol=1e-4)
+    i = int(np.flatnonzero(before)[-1])
+    share = (1.234567891 - pushed.times[i]) / 0.01
+    # Linear within 10 ms but for the curvature, below 100 m/s^2 and 1000 1/s^2.
+    between = pushed.states[i] + share * (pushed.states[i + 1] - pushed.states[i])
+    np.testing.assert_allclose(pushed.at_push[:6], between, atol=0.02)
+
+
+def test_recorded_inputs_reproduce_speeds_and_states() -> None:
+    conditions = SHORT.with_settings([("control_rate", "7.0")])
+    trajectory = run(conditions, SCENARIO, 4.0, conditions.controller.control_period)
+    inputs = followed_inputs(trajectory.holds, 4.0)
+    assert (inputs.start, inputs.end) == (0.0, 4.0)
+    for i in range(2):
+        speeds = np.interp(trajectory.times, inputs.times, inputs.speeds[:, i])
+        # Knot times are rounded to nanoseconds.
+        np.testing.assert_allclose(speeds, trajectory.speeds[:, i], rtol=0, atol=1e-6)
+    plant = RollingPlant(RobotParameters(), SCENARIO.start)
+    for duration, end in zip(np.diff(inputs.times), inputs.speeds[1:], strict=True):
+        plant.advance(end, float(duration))
+    # It integrates in steps of other lengths.
+    np.testing.assert_allclose(plant.state, trajectory.states[-1], rtol=0, atol=1e-8)
+
+
+def test_a_command_replaces_what_is_left_of_the_one_before() -> None:
+    first = FirstOrderHold(np.array([0.0, 1.0, 2.0]), np.array([[0, 0], [10, 10], [20, 20]]))
+    second = FirstOrderHold(np.array([0.5, 1.5]), np.array([[5, 5], [0, 0]]))
+    inputs = followed_inputs([first, second], 1.0)
+    np.testing.assert_array_equal(inputs.times, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(inputs.speeds[:, 0], [0.0, 5.0, 2.5])
+
+
+def test_record_is_read_back_to_the_bit() -> None:
+    record = run_scenario(replace(SHORT, duration=2.0), PUSHED)
+    assert record.at_push.size == 11
+    index, again = RunRecord.from_json(record.as_json(3))
+    assert index == 3 and again.results == record.results
+    for name in ("times", "speeds", "at_push"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(record, name))
+
+
+def test_run_that_crashes_is_recorded_as_such(monkeypatch) -> None:
+    def fail(self: object, end: object, duration: float) -> None:
+        raise ArithmeticError("no longer finite")
+
+    monkeypatch.setattr(RollingPlant, "advance", fail)
+    record = run_scenario(SHORT, SCENARIO)
+    assert record.results["crash"] == "ArithmeticError: no longer finite"
+    assert record.results["settled"] is False
+
+
+def test_controller_has_the_nominal_parameters_of_a_perturbed_robot() -> None:
+    simulator, controller = prepare(replace(SHORT, perturbation=3.0), SCENARIO)
+    assert simulator.plant._mass != RobotParameters().total_mass
+    assert controller.estimator.plant.constants == RobotParameters().lumped
+
+
+def test_settings_that_depend_on_each_other_are_accepted_in_any_order() -> None:
+    small = [("robot.shell_radius", "0.0365"), ("robot.rotor_offset", "0.015")]
+    large = [("robot.shell_radius", "1.0"), ("robot.rotor_offset", "0.5")]
+    for settings in (small, large):
+        there, back = (SHORT.with_settings(order) for order in (settings, settings[::-1]))
+        assert there == back
+        assert there.robot.rotor_offset == float(settings[1][1])
+    with pytest.raises(InvalidParameterError, match="rotor_offset"):
+        SHORT.with_settings(small[:1])
+
+
+ACROSS = Scenario(upright_state(-1.0, 0.0, 0.0), upright_state(1.0, 0.0, 0.0))
 """From one side of the wall in the middle to the other."""
-PUSHED = Scenario(
-    *2 * (as_state([-0.6, 0.0, 1, 0, 0, 0]),), push=Push(1.0, (4.0, 0.0))
-)
+INTO_WALL = Scenario(*2 * (upright_state(-0.6, 0.0, 0.0),), push=Push(1.0, (4.0, 0.0)))
 """Pushed towards that wall, at rest at the goal, by more than the rotors can hold."""
 
 
-@pytest.fixture(autouse=True)
-def no_figure(monkeypatch) -> None:
-    monkeypatch.setattr("sphere_sim.study.study.draw", lambda *arguments: None)
-
-
-@pytest.fixture(autouse=True)
-def floors_are_read_again() -> None:
-    """Each test has a map of its own, which a process keeps."""
-    floor_of.cache_clear()
-
-
 @pytest.fixture
-def map_file(tmp_path) -> Path:
+def map_file(tmp_path, monkeypatch) -> Path:
     """A room of 4 m x 4 m about the origin with a wall in the middle, as map_server saves it."""
+    monkeypatch.setattr("sphere_sim.study.study.draw", lambda *arguments: None)
+    floor_of.cache_clear()  # each test has a map of its own, which a process keeps
     levels = np.full((80, 80), 254, dtype=np.uint8)
     levels[:, 39:41] = 0
     (tmp_path / "room.pgm").write_bytes(b"P5\n80 80\n255\n" + levels.tobytes())
@@ -68,10 +155,10 @@ def test_run_into_a_wall_is_counted(map_file, plant) -> None:
     if plant == "rigid_body":
         pytest.importorskip("mujoco")
     conditions = conditions_with(map_file, plant=plant)
-    results = run_scenario(conditions, PUSHED).results
+    results = run_scenario(conditions, INTO_WALL).results
     assert results["contacts"] >= 1 and not results["settled"]
     assert -2e-3 < results["least_clearance_m"] < 5e-3
-    free = run_scenario(replace(conditions, floor=StudyConditions().floor), PUSHED).results
+    free = run_scenario(replace(conditions, floor=StudyConditions().floor), INTO_WALL).results
     assert results["final_position_error_m"] < 0.3 < free["final_position_error_m"]
     assert not set(FLOOR_RESULT_COLUMNS) & set(free)
 
@@ -86,7 +173,7 @@ def test_goal_behind_the_wall_is_a_run_in_which_nothing_moves(map_file) -> None:
 
 
 def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None:
-    def given_up(*arguments, **options):
+    def given_up(*arguments: Any, **options: Any) -> Trajectory:
         found = run_closed_loop(*arguments, **options)
         for decision, status, words in zip(
             found.decisions,
@@ -99,10 +186,7 @@ def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None
 
     monkeypatch.setattr("sphere_sim.study.single_run.run_closed_loop", given_up)
     conditions = replace(conditions_with(map_file), duration=1.5)
-    record = run_scenario(conditions, ACROSS)
-    assert record.results["reason"] == "the goal: it is occupied"
-    _, read = RunRecord.from_json(record.as_json(0))
-    assert read.results == record.results
+    assert run_scenario(conditions, ACROSS).results["reason"] == "the goal: it is occupied"
 
 
 def test_map_adds_columns_to_the_table_and_the_summary(map_file, tmp_path, capsys) -> None:
@@ -147,14 +231,15 @@ def test_map_that_cannot_be_used_exits_2_and_leaves_no_folder(
 
 def test_study_continues_only_on_the_same_map(map_file, tmp_path) -> None:
     conditions = replace(conditions_with(map_file), duration=0.5)
+    study = Study([ACROSS], conditions, tmp_path / "out")
     for _ in range(2):
         with Workers() as workers:
-            Study([ACROSS], conditions, tmp_path / "out").run(workers)
+            study.run(workers)
     image = map_file.with_suffix(".pgm")
     image.write_bytes(image.read_bytes()[:-1] + b"\0")
     floor_of.cache_clear()
     with Workers() as workers, pytest.raises(ResultFolderError, match="another map"):
-        Study([ACROSS], conditions, tmp_path / "out").run(workers)
+        study.run(workers)
 
 
 def test_drawn_places_are_uniform_over_what_is_clear() -> None:

@@ -22,8 +22,6 @@ from packaging.requirements import Requirement
 
 from sphere_sim.cli import main as cli
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).parents[2]
 COLCON = ROOT / ".venv-colcon" / "bin" / "colcon"
 EXECUTABLES = {"sphere_nmpc", *cli.VERBS}
@@ -80,6 +78,7 @@ def run(*command: str | Path, **options) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_wheel_is_complete(tree, tmp_path, environment) -> None:
     options = ("--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path)
     run(sys.executable, "-m", "pip", "wheel", *options, tree, env=environment)
@@ -100,6 +99,7 @@ def test_wheel_is_complete(tree, tmp_path, environment) -> None:
     assert set(re.findall(r"^(\w+) =", entry_points, re.MULTILINE)) == EXECUTABLES
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COLCON.exists(), reason="make test provides colcon")
 @pytest.mark.parametrize("option", [[], ["--symlink-install"]], ids=["copy", "symlink"])
 def test_colcon_installs_executables_and_shared_files(
@@ -125,6 +125,7 @@ def test_colcon_installs_executables_and_shared_files(
         assert Path(path).is_relative_to(prefix) and version == "sphere_nmpc 0.1.0"
 
 
+@pytest.mark.slow
 def test_installations_from_one_tree_at_once_and_one_without_a_compiler(
     tree, environment
 ) -> None:

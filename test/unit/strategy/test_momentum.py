@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rest with momentum: goals that can be held, commands that hold it, plans that end so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from floor_plans import DOORWAY, floor_of
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import (
@@ -36,7 +39,7 @@ from sphere_nmpc.strategy.at_rest import (
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_nmpc.strategy.time_optimal.background import solver_for
-from sphere_nmpc.strategy.time_optimal.guide import local_goal, time_to_go
+from sphere_nmpc.strategy.time_optimal.guide import local_goal, route_of, time_to_go
 from sphere_nmpc.strategy.time_optimal.machine import Following
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -132,6 +135,17 @@ def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
         np.testing.assert_allclose(aim.situation.goal[POSITION], place + length * direction)
         assert not aim.is_final and not aim.detour
         assert time_to_go(far, aim.situation.goal[POSITION], 100.0) > 1e4
+
+
+def test_detour_of_a_local_goal_is_by_how_much_the_route_to_it_is_longer_than_the_line() -> None:
+    start, goal = upright(1.0, 0.5), upright(5.0, 3.2)
+    now = replace(situation(goal, pose=start), floor=floor_of(DOORWAY))
+    (aim,) = local_goal(now, SOLVER, 0).aims
+    reached = aim.situation.goal[POSITION]
+    ahead = route_of(now).length(start[POSITION]) - route_of(now).length(reached)
+    direct = float(np.linalg.norm(reached - start[POSITION]))
+    assert 0.0 < aim.detour < 0.2 * direct and not aim.is_final
+    assert aim.detour == pytest.approx(max(1e-3, ahead - direct))
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,17 @@ def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant:
     assert np.max(angle_errors(states, loop.goal)) < np.radians(3.0)
 
 
+def test_change_of_an_unrelated_setting_changes_no_plan() -> None:
+    settings = ControllerSettings(planning_effort=60_000)
+    changed, unchanged = loops = of_case(3, settings), of_case(3, settings)
+    for loop in loops:
+        loop.run(1.0)
+        if loop is changed:
+            loop.controller.change(replace(settings, pose_timeout=0.7))
+        loop.run(1.0)
+    np.testing.assert_array_equal(changed.states, unchanged.states)
+
+
 @pytest.mark.parametrize("torque", [1.6, None])
 def test_unknown_drives_cost_little_time(torque: float | None) -> None:
     """The lag of strong drives and the acceleration that weak ones attain are found."""

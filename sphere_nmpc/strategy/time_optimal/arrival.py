@@ -50,9 +50,8 @@ _Kind = TypeVar("_Kind", LeastSquaresProblem, MinimumTimeProblem)
 
 _REGULARISATION = 1e-12
 """Input weight of a trial that only keeps the normal equations regular."""
-LEAST_GAIN = 1e-4
-"""Time [of the unit of time] by which an arrival has to be earlier to be another: less by a step
-of a solve, it is converged, and a plan that is found does not replace the one in force."""
+_LEAST_GAIN = 1e-4
+"""Decrease of the duration by a step [of the unit of time] below which an arrival is converged."""
 _FIRST_PROXIMAL = 1.0
 """First proximal weight of a minimum-time problem [of the unit of time]."""
 _KEEPING = 100.0
@@ -175,7 +174,7 @@ class ArrivalSolver:
             self._roll_steadily(problem, rolling, guess.speeds[1:], steady, turns)
         settings = SolverSettings(
             max_iterations=iterations or tuning.iterations,
-            decrease_floor=LEAST_GAIN * self.grid.unit,
+            decrease_floor=_LEAST_GAIN * self.grid.unit,
             initial_damping=(_KEEPING if kept else _FIRST_PROXIMAL) * self.grid.unit,
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )

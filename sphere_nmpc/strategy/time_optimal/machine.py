@@ -40,16 +40,13 @@ from sphere_nmpc.strategy.clearance import Margin, clearance_of
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum, stop
-from sphere_nmpc.strategy.time_optimal.arrival import (
-    LEAST_GAIN,
-    RAISES,
-    ArrivalSolver,
-    rolled_out,
-)
+from sphere_nmpc.strategy.time_optimal.arrival import RAISES, ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later
 from sphere_nmpc.strategy.time_optimal.guide import way_of_time
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
+_LEAST_GAIN = 5e-3
+"""Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
 _ENDED = 1e-3
 """Time left of a plan [s] below which it has ended."""
 
@@ -393,5 +390,5 @@ def _replaces(found: Following, kept: Following, situation: Situation) -> bool:
         return True
     if not found.leads_to(situation) or not found.reaches:
         return False
-    gain = LEAST_GAIN * kept.solver.grid.unit
+    gain = _LEAST_GAIN * kept.solver.grid.unit
     return not kept.reaches or found.arrives < kept.arrives - gain

@@ -21,6 +21,8 @@ the displacement over them stands for that over all turns."""
 
 _NEARLY = 0.9
 """Share of the speed limit beyond which a rotor counts as being at it."""
+_MANOEUVRE = 2.0
+"""Time beyond that of steady rolling that a motion takes [s]."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,8 @@ class SteadyRolling:
         return self.speed * self.turn_time
 
     def duration(self, way: float) -> float:
-        """Return about how long a motion over `way` [m] from rest to rest takes [s].
-
-        Its manoeuvres take about as long as a turn.
-        """
-        return self.turn_time + way / self.speed
+        """Return about how long a motion over `way` [m] from rest to rest takes [s]."""
+        return _MANOEUVRE + way / self.speed
 
 
 def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int]:

@@ -13,8 +13,9 @@ solved again, as the direction to the near goal is slightly another one.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -37,6 +38,10 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     without_turns,
 )
 
+_COMPARED: Vector = np.arange(1, 16) / 16.0
+"""Times at which two motions are compared [of their durations]."""
+_ALIKE = 0.2
+"""Mean difference of the speeds of two motions [of the largest] up to which they are alike."""
 _FIRST_TURNS, _GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
 _LATER = 2.5
@@ -136,12 +141,12 @@ class ArrivalSearch:
             trials.append(self._counted(self._solver.trial(self._near, goal, guess.hold)))
             yield
         clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
-        survivors = sorted(clear, key=self._merit)[: settings.polished]
+        survivors = islice(_different(clear, self._merit), settings.polished)
         longest, polished = np.inf, list[Plan]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
         for arrival in survivors:
-            if not self._merit(arrival) < _LARGEST_MERIT * longest:
+            if self._merit(arrival) > _LARGEST_MERIT * longest:
                 break
             polished.append(self._polished(self._near, arrival.goal, arrival.hold))
             yield
@@ -272,3 +277,18 @@ class ArrivalSearch:
         moved = self._rolling.turn_time * self._situation.goal_rate[POSITION]
         goal[POSITION] = self._situation.goal[POSITION] + missing * (moved - self._turn)
         return goal
+
+
+def _different(
+    arrivals: list[Plan], merit: Callable[[Plan], float]
+) -> Iterator[Plan]:
+    """Yield arrivals in the order of their merit, of motions that are alike the first alone."""
+    signatures = list[Vector]()
+    for arrival in sorted(arrivals, key=merit):
+        hold = arrival.hold
+        signature = hold.resampled(hold.end * _COMPARED).speeds
+        largest = float(np.max(np.abs(hold.speeds)))
+        alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
+        if np.isfinite(arrival.error) and all(d > _ALIKE * largest for d in alike):
+            signatures.append(signature)
+            yield arrival

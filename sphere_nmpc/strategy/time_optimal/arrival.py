@@ -89,7 +89,9 @@ class ArrivalSolver:
             max_iterations=settings.trial_iterations, gradient_tolerance=0.0
         )
 
-    def trial(self, situation: Situation, goal: Goal, guess: FirstOrderHold) -> Plan:
+    def trial(
+        self, situation: Situation, goal: Goal, guess: FirstOrderHold, aware: bool = False
+    ) -> Plan:
         """Return the motion of the duration of a guess that ends nearest to the goal.
 
         Parameters
@@ -102,9 +104,11 @@ class ArrivalSolver:
             Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
             momentum along its motion is added, so that the same motion results but for a turn
             about the body's z axis.
+        aware : bool, optional
+            Whether the guess has that already.
         """
         durations, knots = np.diff(guess.times), guess.speeds[1:]
-        if not is_zero(situation.momentum, situation.disturbance):
+        if not aware and not is_zero(situation.momentum, situation.disturbance):
             knots = knots + self._compensation(situation, durations, knots)
         momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
         rest = speeds_of_rest(momentum, goal.pose[QUATERNION], self._max_speed)

@@ -50,7 +50,8 @@ class Guess(NamedTuple):
 
 def meeting_guesses(
     rng: np.random.Generator, situation: Situation, drives: Drives,
-    durations: tuple[float, float], settings: TimeOptimalSettings, left_out: Vector,
+    durations: tuple[float, float], share: float, settings: TimeOptimalSettings,
+    left_out: Vector,
 ) -> tuple[list[Guess], int]:
     """Draw half motions and return pairs that nearly meet, the most promising first.
 
@@ -64,6 +65,8 @@ def meeting_guesses(
         Spacing of the knots and limits of the rotors.
     durations : tuple of float
         Shortest and longest duration of a guess [s].
+    share : float
+        Share of the half motions and guesses of the settings that are drawn.
     settings : TimeOptimalSettings
         Numbers of half motions and of guesses; distribution of the switches; weight of the
         orientation in the distance by which half motions miss each other: the best guesses are
@@ -84,7 +87,8 @@ def meeting_guesses(
     speed = SteadyRolling.of(situation.constants, drives.limit).speed
     first, last = max(2, int(durations[0] / period)), int(durations[1] / period)
     levels = (last + 1) // 2
-    count, wanted = settings.half_motions, settings.tried_guesses
+    count = 16 * round(share * settings.half_motions / 16)
+    wanted = round(share * settings.tried_guesses)
     signals = _signals(rng, count, unit * settings.mean_switch)
     constants = situation.constants.as_array()
     in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)

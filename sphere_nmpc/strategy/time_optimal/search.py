@@ -13,14 +13,15 @@ solved again, as the direction to the near goal is slightly another one.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
-from sphere_nmpc.model.state import POSITION, Vector, flipped_sign
+from sphere_nmpc.model.state import POSITION, Vector, flipped_sign, state_error
 from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
@@ -37,14 +38,25 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     without_turns,
 )
 
+_COMPARED: Vector = np.arange(1, 16) / 16.0
+"""Times at which two motions are compared [of their durations]."""
+_ALIKE = 0.2
+"""Mean difference of the speeds of two motions [of the largest] up to which they are alike."""
 _FIRST_TURNS, _GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
+_FIRST_SHARE = 0.5
+"""Share of half motions and guesses that are tried in a round before the first arrival."""
 _LATER = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""
+_TIME_OF_ERROR = 2.5
+"""Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
 _LARGEST_MERIT = 1.1
 """Sum of duration and delay [of the best arrival] up to which a trial is polished."""
-_REACHED = 0.05
-"""Terminal error [-] below which a polished arrival is solved to the end."""
+_ROUNDS = 4
+"""Rounds at most in which an earlier arrival is searched for, while guesses collide."""
+_REACHED, _REACHED_SHARE = 0.05, 0.1
+"""Terminal error [-], and share of that at the start, below which a polished arrival is solved to
+the end."""
 
 
 class ArrivalSearch:
@@ -82,12 +94,18 @@ class ArrivalSearch:
             self._aim_near(known)
         self._least = self._rolling_time(self._near) + detour / self._rolling.speed
         self._least += robot.ramp_time
+        self._reached = _REACHED
+        if situation.has_small_momentum:  # otherwise the sphere leaves the goal by itself
+            error = state_error(situation.state, situation.goal)
+            self._reached = min(_REACHED, _REACHED_SHARE * error)
         self._window, self._later = settings.window * grid.unit, 0.0
         self.best: Plan | None = known
         """The earliest arrival found so far."""
         self.work = 0
         """Work so far, in microseconds or so."""
         self._deadline = np.inf
+        self._collided = False
+        """Whether a trial of the last round did not keep clear of what is on the floor."""
 
     def improve(self, work: int, deadline: float = np.inf) -> Plan | None:
         """Search for an earlier arrival.
@@ -112,40 +130,50 @@ class ArrivalSearch:
         return self.best
 
     def improve_once(self, deadline: float = np.inf) -> Plan | None:
-        """Search for one round, or until the deadline; see `improve`."""
+        """Search for one round, or until the deadline; see `improve`.
+
+        Where guesses collide it is a few rounds, or until one finds something.
+        """
         self._deadline = deadline
         if self.best is not None:
             for _ in self._finished(self.best, added=self._turns):
                 pass
-        for _ in self._round():
-            if time.perf_counter() > deadline:
+        known = self.best
+        for _ in range(_ROUNDS):
+            for _ in self._round(1.0):
+                if time.perf_counter() > deadline:
+                    return self.best
+            if self.best is not known or not self._collided:
                 break
         return self.best
 
     def _rounds(self) -> Iterator[None]:
         """Search without end; each step is one solve or one draw of guesses."""
-        while True:
-            yield from self._round()
+        while True:  # the first arrival takes little work
+            yield from self._round(_FIRST_SHARE if self.best is None else 1.0)
 
-    def _round(self) -> Iterator[None]:
+    def _round(self, share: float) -> Iterator[None]:
         settings, trials = self._settings, list[Plan]()
-        guesses = self._guesses()
+        guesses = self._guesses(share)
         yield
         for guess in guesses:
             goal = self._near.aim(guess.goal)
             trials.append(self._counted(self._solver.trial(self._near, goal, guess.hold)))
             yield
         clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
-        survivors = sorted(clear, key=self._merit)[: settings.polished]
+        self._collided = len(clear) < len(trials)
+        survivors = islice(_different(clear, self._merit), settings.polished)
         longest, polished = np.inf, list[Plan]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
         for arrival in survivors:
-            if not self._merit(arrival) < _LARGEST_MERIT * longest:
+            if self._merit(arrival) > _LARGEST_MERIT * longest:
                 break
+            if arrival.error > self._reached:
+                arrival = self._with_more_time(arrival)
             polished.append(self._polished(self._near, arrival.goal, arrival.hold))
             yield
-        reached = [arrival for arrival in polished if arrival.error < _REACHED]
+        reached = [arrival for arrival in polished if arrival.error < self._reached]
         best = self.best
         for arrival in sorted(reached, key=self._merit):
             if self.best is best and arrival.duration < longest:
@@ -157,6 +185,14 @@ class ArrivalSearch:
     def _merit(self, arrival: Plan) -> float:
         """Return the duration with what its error is worth [s]."""
         return arrival.duration + self._settings.error_weight * self._grid.unit * arrival.error
+
+    def _with_more_time(self, arrival: Plan) -> Plan:
+        """Return a trial from another one, in the time that the error of that takes longer."""
+        hold = arrival.hold
+        factor = 1.0 + _TIME_OF_ERROR * self._grid.unit * arrival.error / arrival.duration
+        slower = FirstOrderHold(factor * hold.times, hold.speeds / factor)
+        goal = arrival.goal
+        return self._counted(self._solver.trial(self._near, goal, slower, aware=True))
 
     def _polished(self, situation: Situation, goal: Goal, guess: FirstOrderHold) -> Plan:
         return self._counted(self._solver.solve(
@@ -201,7 +237,7 @@ class ArrivalSearch:
         self.work += arrival.work
         return arrival
 
-    def _guesses(self) -> list[Guess]:
+    def _guesses(self, share: float) -> list[Guess]:
         settings, best = self._settings, self.best
         longest = self._least + self._later + self._window
         if best is not None:
@@ -210,13 +246,13 @@ class ArrivalSearch:
             self._later = 0.0
         shortest = self._least + self._later
         found, work = meeting_guesses(
-            self._rng, self._near, self._drives, (shortest, longest), settings,
+            self._rng, self._near, self._drives, (shortest, longest), share, settings,
             self._turns * self._turn,
         )
         self.work += work
         if not found and best is None:
             self._window *= 2.0
-        for k in range(settings.polished):
+        for k in range(round(share * settings.polished)):
             duration = shortest + self._window * self._rng.random()
             hold = random_hold(self._rng, duration, self._drives.limit)
             goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
@@ -272,3 +308,18 @@ class ArrivalSearch:
         moved = self._rolling.turn_time * self._situation.goal_rate[POSITION]
         goal[POSITION] = self._situation.goal[POSITION] + missing * (moved - self._turn)
         return goal
+
+
+def _different(
+    arrivals: list[Plan], merit: Callable[[Plan], float]
+) -> Iterator[Plan]:
+    """Yield arrivals in the order of their merit, of motions that are alike the first alone."""
+    signatures = list[Vector]()
+    for arrival in sorted(arrivals, key=merit):
+        hold = arrival.hold
+        signature = hold.resampled(hold.end * _COMPARED).speeds
+        largest = float(np.max(np.abs(hold.speeds)))
+        alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
+        if np.isfinite(arrival.error) and all(d > _ALIKE * largest for d in alike):
+            signatures.append(signature)
+            yield arrival

@@ -325,7 +325,8 @@ class Gate:
 
 
 @pytest.fixture
-def gate(monkeypatch) -> Iterator[Gate]:
+def gate(floors, monkeypatch) -> Iterator[Gate]:
+    """Return a gate that is open again before the floors of a test are removed."""
     gate = Gate(monkeypatch)
     yield gate
     gate.open()

@@ -78,6 +78,11 @@ class Session:
         self.graph.spin_for(0.5)
         return float(np.linalg.norm(self.place - before))
 
+    def restart(self, name: str) -> None:
+        """Kill a node and start it again."""
+        self.processes[name].kill()
+        self.processes[name].start()
+
     def log(self, name: str) -> str:
         """Return what a node has printed."""
         return self.processes[name].output

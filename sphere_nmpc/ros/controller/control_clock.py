@@ -75,9 +75,13 @@ class ControlClock:
         """Return the control time [s] of a stamp [ns]."""
         return (stamp - self.epoch) / NANOSECONDS
 
-    def is_near(self, stamp: int, now: float) -> bool:
-        """Return whether a stamp [ns] is of this clock, which shows `now` [s], not of another."""
-        return abs(self.time_of(stamp) - now) < MOST_AHEAD
+    def own_time(self, stamp: int, now: float) -> float | None:
+        """Return the control time [s] of a stamp [ns]; None where it is of another clock.
+
+        That is one too far from `now` [s], which this one shows.
+        """
+        time = (stamp - self.epoch) / NANOSECONDS
+        return time if abs(time - now) < MOST_AHEAD else None
 
     def hear(self, message: bytes) -> None:
         """Set the node's clock to that of a serialised message on ``/clock``."""

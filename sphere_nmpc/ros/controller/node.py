@@ -53,6 +53,8 @@ _CHECK_EVERY = 0.25
 """Wall time between two checks of clock, pose and topics [s]."""
 _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
+_SELDOM = 0.05
+"""Control period above which a command that may be lost is sent again before the next one [s]."""
 _GOAL_TOLD_EVERY = 0.1
 """Least wall time between two reports of one goal that is given again and again [s]."""
 _SAVE_EVERY = 1.0
@@ -255,8 +257,9 @@ class ControllerNode(GuardedNode):
         starts = schedule.command_time(request, time.perf_counter() - began)
         hold = controller.commit(decision, starts) or schedule.answer(request)
         if hold is not None:
-            may_be_lost = schedule.is_real_time and controller.rotor_feedback.shows_link
-            self._sender.send(hold, epoch, is_repeated=may_be_lost)
+            seldom = schedule.is_real_time and self._period > _SELDOM
+            repeated = seldom and controller.rotor_feedback.shows_link
+            self._sender.send(hold, epoch, repeated)
         ended = time.perf_counter()
         schedule.completed(ended - began, decision.solved)
         self._reports.tick(decision, request.instant, ended - began, ended, epoch)
@@ -301,10 +304,9 @@ class ControllerNode(GuardedNode):
     def _set_goals(self, goals: GoalSequence) -> None:
         """Visit goals; those that are in force already are only confirmed."""
         clock, wall = self._control_clock, time.monotonic()
-        now = given = clock.steady_now()
-        if now is not None and clock.is_near(goals.stamp, now):
-            given = clock.time_of(goals.stamp)
-        is_new = self.controller.set_goals(goals, given)
+        now = clock.steady_now()
+        given = None if now is None else clock.own_time(goals.stamp, now)
+        is_new = self.controller.set_goals(goals, now if given is None else given)
         self._stored_goal.supersede()
         if not is_new and wall < self._goal_told + _GOAL_TOLD_EVERY:
             return

@@ -64,6 +64,7 @@ class RotorReceiver:
             return
         if now is None or speeds is None:
             return
-        if self._clock.is_near(stamp, now):
+        time = self._clock.own_time(stamp, now)
+        if time is not None:
             self._read_at = wall
-            self._controller.observe_rotors(self._clock.time_of(stamp), speeds)
+            self._controller.observe_rotors(time, speeds)

@@ -335,7 +335,8 @@ def test_cancel_stops_at_once_and_leaves_no_goal(robot) -> None:
     assert robot.status()["mode"] == "on the way to the goal"
 
 
-def test_arrival_is_published_until_there_is_another_goal(robot, capfd) -> None:
+def test_arrival_is_published_until_there_is_another_goal(begun, capfd) -> None:
+    robot = begun
     arrivals = robot.graph.collect(Bool, "controller/at_goal", LATCHED)
     robot.graph.until(lambda: arrivals and not arrivals[-1].data)
     robot.send_goal(CASE.start)
@@ -344,9 +345,7 @@ def test_arrival_is_published_until_there_is_another_goal(robot, capfd) -> None:
     robot.pass_time(0.7)
     robot.graph.until(lambda: arrivals[-1].data)
     assert robot.status()["mode"] == "at the goal"
-    told = re.findall("arrival: at the goal after (.*), error (.*)\n", capfd.readouterr().err)
-    ((after, error),) = told
-    assert after == "0.00 s" and float(error) < 1e-3
+    assert capfd.readouterr().err.count("arrival: at the goal after 0.00 s, error 0\n") == 1
     robot.statuses.clear()
     for stamp in (5, 6):  # without an instant between
         robot.goal_sender.publish(pose_to_ros(CASE.goal, stamp, 0.3))
@@ -427,7 +426,7 @@ def test_status_and_diagnostics_are_published_while_time_stands_still(robot) -> 
     robot.graph.until(lambda: reports and reports[-1].status[1].message == "clock stopped")
     assert [one.name for one in reports[-1].status] == ["controller: solver", "controller: loop"]
     values = values_of(reports[-1].status[0])
-    assert values["failures"] == "0" and float(values["median ms"]) > 0.0
+    assert values["failures"] == "0" and float(values["max ms"]) > 0.0, "others did not solve"
     robot.pass_time(0.7)
     assert robot.status()["mode"] == "on the way to the goal"
 

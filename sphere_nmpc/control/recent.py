@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 RECENT = 32
-"""Newest values from which is told what lasts."""
+"""Number of values that a statistic is taken of, where its user has no reason for another."""
 
 
 class Recent(deque[float]):

@@ -411,7 +411,8 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert status["active_goal_stamp"] == stamp_text(stamp_from_ros(robot.goals[-1].header.stamp))
 
 
-def test_status_and_diagnostics_are_published_while_time_stands_still(robot) -> None:
+def test_status_and_diagnostics_are_published_while_time_stands_still(begun) -> None:
+    robot = begun
     reports = robot.graph.collect(DiagnosticArray, "/diagnostics")
     robot.send_goal()
     robot.pass_time(0.7)
@@ -426,7 +427,7 @@ def test_status_and_diagnostics_are_published_while_time_stands_still(robot) -> 
     robot.graph.until(lambda: reports and reports[-1].status[1].message == "clock stopped")
     assert [one.name for one in reports[-1].status] == ["controller: solver", "controller: loop"]
     values = values_of(reports[-1].status[0])
-    assert values["failures"] == "0" and float(values["max ms"]) > 0.0, "others did not solve"
+    assert values["failures"] == "0" and float(values["median ms"]) > 0.0
     robot.pass_time(0.7)
     assert robot.status()["mode"] == "on the way to the goal"
 

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that tests start, which end with the test session however it ends."""
+"""Wait for the end of processes, whoever has started them."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -9,7 +9,7 @@ from patience import until
 
 
 def wait_for_end(pids: Iterable[int]) -> None:
-    """Wait until processes have ended, whoever has started them."""
+    """Wait until the processes of these numbers have ended."""
     for pid in pids:
         until(partial(_has_ended, pid))
 

@@ -31,11 +31,7 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_nmpc.strategy.at_rest import (
-    TOLERANCE,
-    AtRest,
-    holdable_goal,
-)
+from sphere_nmpc.strategy.at_rest import TOLERANCE, AtRest, holdable_goal
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_nmpc.strategy.time_optimal.background import solver_for

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import casadi as ca
 import matplotlib
 import mujoco
 import numpy as np
@@ -25,8 +24,8 @@ from tables import header, row
 
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import Vector, angle_error, position_error
+from sphere_nmpc.model.rotation import random_quaternion, vertical
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, position_error
 from sphere_nmpc.model.torque import rotor_acceleration
 from sphere_sim.evaluation.metrics import angle_errors
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -244,7 +243,6 @@ class Study:
             header("drives", "rms [N m]", "99 %", "worst", "worst, 30 ms after a knot left out",
                    "largest measured [N m]", "Eq. (46) over an interval, worst"),
         ]
-        eq45 = torque_function()
         for name, settings in (("ideal", IDEAL), ("default", DEFAULT)):
             errors, settled, largest, means = [], [], 0.0, []
             for sequence in self.sequences:
@@ -255,8 +253,8 @@ class Study:
                 for i, (speeds, slope) in enumerate(zip(sequence.speeds[1:], slopes, strict=True)):
                     plant.advance(speeds, STEP)
                     measured = plant.rotor_torques
-                    predicted = eq45(plant.state[2:], plant.rotor_speeds, slope)
-                    error = np.abs(np.array(predicted).ravel() - measured)
+                    predicted = eq45(plant.state, plant.rotor_speeds, slope)
+                    error = np.abs(predicted - measured)
                     errors.append(error)
                     if i % 50 >= 3:
                         settled.append(error)
@@ -331,12 +329,12 @@ class Study:
         )
 
 
-def torque_function() -> ca.Function:
-    """Return Eq. (45) as (q, u, du) -> torques, built once for all the steps."""
-    q, u, du = ca.SX.sym("q", 4), ca.SX.sym("u", 2), ca.SX.sym("du", 2)
-    constants = ca.DM(ROBOT.lumped.as_array())
-    torque = ROBOT.rotor_axial_inertia * rotor_acceleration()(q, u, du, constants)
-    return ca.Function("torque", [q, u, du], [torque])
+def eq45(state: Vector, u: Vector, du: Vector) -> Vector:
+    """Return the torques of Eq. (45) at a state, shape (2,) [N m]."""
+    up = vertical(state[None, QUATERNION])
+    found = rotor_acceleration(up, u[None], du[None], ROBOT.lumped.as_array())
+    torque: Vector = ROBOT.rotor_axial_inertia * found[0]
+    return torque
 
 
 def plot(axes: Axes, times: tuple[float, ...], angles: list[np.ndarray], label: str) -> None:

@@ -6,21 +6,34 @@ The columns of G(x) and their Lie brackets span the directions that can be reach
 manoeuvres. With brackets of up to three fields they span all five unless the contact point lies
 on the great circle Gamma through the rotors (Eq. 16); with four fields they always do, so the
 robot is locally controllable everywhere, and on Gamma its degree of nonholonomy is 4, not 3.
+
+A field is written by its velocities in the body frame, w = (a, v): rotation and displacement over
+Rs, which depend on the vertical k alone. As dk/dt = k x a, and by the structure of the group of
+rigid motions, with derivatives by k,
+
+    [f, g] = (dw_g/dk) (k x a_f) - (dw_f/dk) (k x a_g) + (a_f x a_g, a_f x v_g - a_g x v_f).
+
+Divided by c1 the two columns are a = -A^-1 e, v = a x k (Eqs. 7 and 11), with the matrix A of
+`sphere_nmpc.model.torque`.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
-from sphere_nmpc.model.dynamics import state_rate
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import QUATERNION, Vector
-from sphere_nmpc.model.symbolic_rotation import Expression, quaternion_product
 
-THIRD_ORDER = 5
-"""Number of the first columns of the bracket matrix that are made from up to three fields."""
+_CROSS: Vector = np.zeros((3, 3, 3))
+"""The tensor of cross products: (a x b)_i = sum_jk e_ijk a_j b_k."""
+_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+_CROSS -= _CROSS.transpose(0, 2, 1)
+_GROUP: Vector = np.zeros((6, 6, 6))
+"""The tensor of the last term of a bracket."""
+_GROUP[:3, :3, :3] = _GROUP[3:, :3, 3:] = _GROUP[3:, 3:, :3] = _CROSS
+_NOT_NEEDED: Vector = np.zeros((6, 3, 3))
 
 
 @dataclass(frozen=True)
@@ -52,50 +65,70 @@ def distance_to_circle(state: Vector) -> float:
 
 def controllability(state: Vector, constants: LumpedConstants) -> Controllability:
     """Return the measures of a configuration, shape (6,); nan where it is not finite."""
-    brackets = bracket_matrix(state, constants)[:, :THIRD_ORDER]
+    brackets = third_order_brackets(rotation.vertical(state[QUATERNION]), constants)
     if not np.all(np.isfinite(brackets)):
         return Controllability(float("nan"), float("nan"))
     least = np.linalg.svd(brackets, compute_uv=False)[-1]
     return Controllability(distance_to_circle(state), float(least))
 
 
-def bracket_matrix(state: Vector, constants: LumpedConstants) -> Vector:
-    """Return the scaled brackets at a configuration, shape (6,), as columns.
+class _Field(NamedTuple):
+    """Velocities w of a field, shape (6,), and their derivatives by k."""
+
+    w: Vector
+    first: Vector  # (6, 3)
+    second: Vector  # (6, 3, 3)
+
+
+def third_order_brackets(vertical: Vector, constants: LumpedConstants) -> Vector:
+    """Return the brackets of up to three fields at a vertical k, shape (3,) [-; body frame].
 
     Returns
     -------
-    ndarray, shape (5, 8)
-        Rows: displacement over Rs in world x and y, rotation about the three body axes, all [rad].
-        Columns: g1, g2; [g1, g2]; [g1, [g1, g2]], [g2, [g1, g2]]; [g1, [g1, [g1, g2]]],
-        sqrt(2) [g2, [g1, [g1, g2]]], [g2, [g2, [g1, g2]]].
+    ndarray, shape (6, 5)
+        Rows: rotation and displacement over Rs, both in the body frame. Columns: g1, g2; [g1, g2];
+        [g1, [g1, g2]], [g2, [g1, g2]]; each over c1 to the power of its number of fields, which
+        makes it of order one whatever the inertia of the rotors.
     """
-    return np.array(_bracket_function()(state, constants.as_array()))
+    g1, g2 = (_column(vertical, constants, i) for i in range(2))
+    g12 = _bracket(vertical, g1, g2)
+    higher = (_bracket(vertical, g, g12) for g in (g1, g2))
+    return np.column_stack([field.w for field in (g1, g2, g12, *higher)])
 
 
-@cache
-def _bracket_function() -> ca.Function:
-    x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 4)
+def _column(k: Vector, constants: LumpedConstants, rotor: int) -> _Field:
+    """Return a column of G(x) over c1, with both derivatives."""
+    r1, r3 = constants.transverse_ratio, constants.axial_ratio
+    inverse = np.linalg.inv(np.diag((1.0, 1.0, r1 / r3)) - r1 * k[:, None] * k)
+    a, up = -inverse[:, rotor], inverse @ k
+    # Of the inverse B: dB/dk_m = r1 B (e_m k^T + k e_m^T) B.
+    slope = r1 * (inverse[:, None, :] * up[:, None] + up[:, None, None] * inverse)
+    da = -slope[:, rotor]
+    dda = r1 * (
+        (a + k @ da) * inverse[:, :, None] + (k @ a) * slope
+        + (inverse + k @ slope)[:, None, :] * a[:, None] + up[:, None, None] * da
+    )
+    # v = a x k and its derivatives.
+    by_a, turned = _CROSS @ k, _CROSS.transpose(0, 2, 1) @ da
+    dv = by_a @ da + a @ _CROSS
+    ddv = (by_a @ dda.reshape(3, 9)).reshape(3, 3, 3) + turned + turned.transpose(0, 2, 1)
+    return _Field(
+        np.concatenate((a, by_a @ a)), np.vstack((da, dv)), np.concatenate((dda, ddv))
+    )
 
-    # Divided by c1 the fields are of order one whatever the inertia of the rotors; a bracket of
-    # n fields scales with c1^n and is left of order one by the same division.
-    def field(u: list[float]) -> Expression:
-        return state_rate(x, ca.DM(u), p) / p[1]
 
-    def bracket(f: Expression, g: Expression) -> Expression:
-        return ca.jtimes(g, x, f) - ca.jtimes(f, x, g)
+def _bracket(k: Vector, f: _Field, g: _Field) -> _Field:
+    """Return [f, g]; where `g` has no second derivative, without a first one."""
+    from_rotation = _CROSS @ k
 
-    g1, g2 = field([1.0, 0.0]), field([0.0, 1.0])
-    g12 = bracket(g1, g2)
-    g112, g212 = bracket(g1, g12), bracket(g2, g12)
-    # With the root the last three transform by a rotation when the body is rotated about z, so
-    # that the singular values depend on the distance from Gamma alone.
-    mixed = ca.sqrt(2.0) * bracket(g2, g112)
-    fields = (g1, g2, g12, g112, g212, bracket(g1, g112), mixed, bracket(g2, g212))
-    return ca.Function("brackets", [x, p], [ca.horzcat(*(_reduced(f, x, p) for f in fields))])
+    def along(by: _Field, of: _Field) -> tuple[Vector, Vector]:
+        """Return the derivative of a field along another one, and its derivative by k."""
+        a, da = by.w[:3], by.first[:3]
+        rate, rate_by_k = -from_rotation @ a, -from_rotation @ da - a @ _CROSS
+        return of.first @ rate, of.second @ rate + of.first @ rate_by_k
 
-
-def _reduced(f: Expression, x: Expression, p: Expression) -> Expression:
-    """Return a velocity in R^6 as displacement over Rs and rotation in the body, shape (5,)."""
-    conjugate = ca.vertcat(x[2], -x[3:6])
-    rotation = 2 * quaternion_product(conjugate, f[2:6])
-    return ca.vertcat(f[0:2] / p[0], rotation[1:4])
+    (g_along, dg_along), (f_along, df_along) = along(f, g), along(g, f)
+    by_g = f.w @ _GROUP
+    w = g_along - f_along + by_g @ g.w
+    first = dg_along - df_along + (_GROUP @ g.w) @ f.first + by_g @ g.first
+    return _Field(w, first, _NOT_NEEDED)

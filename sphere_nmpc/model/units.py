@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.torque import within_torque
 
 _TABLE_1 = RobotParameters()
 
@@ -45,9 +46,6 @@ class RobotUnits:
     @classmethod
     def of(cls, robot: RobotParameters) -> "RobotUnits":
         """Return the units of a robot."""
-        # casadi is not needed for the settings alone, as in the launch file.
-        from sphere_nmpc.model.torque import within_torque
-
         gain = robot.lumped.input_gain / _TABLE_1.lumped.input_gain
         speed = robot.max_rotor_speed / _TABLE_1.max_rotor_speed
         limits = within_torque(robot)

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.model.integrator import step_function
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.library import library
 
@@ -148,6 +147,8 @@ def plain_half_motions(
     end: Vector, begin: Vector, signals: Floats, levels: int, drives: Drives, constants: Vector
 ) -> Side:
     """Return what `half_motions` does, on NumPy and CasADi's virtual machine."""
+    from sphere_nmpc.model.integrator import step_function
+
     count = signals.shape[1]
     knots = knots_of(signals, levels, begin, drives)
     step = step_function().map(count)

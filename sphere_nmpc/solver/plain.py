@@ -98,40 +98,15 @@ def shoot(
     return Motion(ends, derivatives, by_stretch)
 
 
-class Propagation(NamedTuple):
-    """State at the end of a motion, with the derivatives of its error.
-
-    Errors are those of `sphere_nmpc.model.error_state`.
-
-    Attributes
-    ----------
-    state : ndarray, shape (9,)
-    by_start : ndarray, shape (8, 8)
-        By the error at the start.
-    by_constants : ndarray, shape (8, 4)
-    by_torques : ndarray, shape (8, 5)
-        By [slope, imbalance].
-    """
-
-    state: Vector
-    by_start: Vector
-    by_constants: Vector
-    by_torques: Vector
-
-    @classmethod
-    def of(cls, state: Vector, derivatives: Vector) -> "Propagation":
-        """Return it from derivatives by rotation, momentum, constants and torques, (8, 15)."""
-        by_start = np.zeros((8, 8))
-        by_start[0, 0] = by_start[1, 1] = 1.0
-        by_start[:, 2:] = derivatives[:, :6]
-        return cls(state, by_start, derivatives[:, 6:10], derivatives[:, 10:])
-
-
 def propagate(
     state: Vector, torques: Vector, inputs: Vector, durations: Vector, constants: Vector,
     max_step: float,
-) -> Propagation:
-    """Return the end of a first-order hold with its derivatives; see `shoot`."""
+) -> tuple[Vector, Vector]:
+    """Return the end of a first-order hold and the derivatives of its error, (8, 15).
+
+    They are by rotation and momentum at the start, constants and torques; the parameters are those
+    of `shoot`.
+    """
     seeds = np.eye(15)
     way: Vector = state[:2]
     dway: Vector = np.zeros((2, 15))
@@ -147,7 +122,7 @@ def propagate(
         )
         way, dway = way + moved, dway + dmoved
     turn = 2.0 * _right_product(y[:4])[:, 1:].T @ dy[:4]
-    return Propagation.of(np.concatenate((way, y)), np.vstack((dway, turn, dy[4:])))
+    return np.concatenate((way, y)), np.vstack((dway, turn, dy[4:]))
 
 
 def _right_product(q: Vector) -> Vector:

@@ -3,18 +3,45 @@
 """Prediction of the states under a first-order hold, by the solver's own integrator."""
 
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP
-from sphere_nmpc.solver import plain
 from sphere_nmpc.solver.native.library import library
-from sphere_nmpc.solver.plain import Propagation
 
 _WORKSPACES = threading.local()
+
+
+class Propagation(NamedTuple):
+    """State at the end of a motion, with the derivatives of its error.
+
+    Errors are those of `sphere_nmpc.model.error_state`.
+
+    Attributes
+    ----------
+    state : ndarray, shape (9,)
+    by_start : ndarray, shape (8, 8)
+        By the error at the start.
+    by_constants : ndarray, shape (8, 4)
+    by_torques : ndarray, shape (8, 5)
+        By [slope, imbalance].
+    """
+
+    state: Vector
+    by_start: Vector
+    by_constants: Vector
+    by_torques: Vector
+
+    @classmethod
+    def of(cls, state: Vector, derivatives: Vector) -> "Propagation":
+        """Return it from derivatives by rotation, momentum, constants and torques, (8, 15)."""
+        by_start = np.zeros((8, 8))
+        by_start[0, 0] = by_start[1, 1] = 1.0
+        by_start[:, 2:] = derivatives[:, :6]
+        return cls(state, by_start, derivatives[:, 6:10], derivatives[:, 10:])
 
 
 def roll_out(
@@ -49,6 +76,8 @@ def roll_out(
     """
     solver = library()
     if solver is None:
+        from sphere_nmpc.solver import plain  # loads CasADi
+
         torques = disturbance.as_array()
         return plain.shoot(state, torques, inputs, durations, constants, max_step).states
     n = durations.size
@@ -76,7 +105,10 @@ def propagate(
     """Return the end of a first-order hold with its derivatives; the arguments of `roll_out`."""
     solver, torques = library(), disturbance.as_array()
     if solver is None:
-        return plain.propagate(state, torques, inputs, durations, constants, max_step)
+        from sphere_nmpc.solver import plain
+
+        end, found = plain.propagate(state, torques, inputs, durations, constants, max_step)
+        return Propagation.of(end, found)
     end, found = state.copy(), np.empty((8, 15))
     inputs, durations = np.ascontiguousarray(inputs), np.ascontiguousarray(durations)
     arrays = (constants, torques, durations, inputs, end, found)

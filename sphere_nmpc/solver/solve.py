@@ -7,9 +7,7 @@ import threading
 from typing import Any
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.minimum_time import minimise_time
 from sphere_nmpc.solver.native.library import Slot, library
-from sphere_nmpc.solver.plain import minimise
 from sphere_nmpc.solver.problem import LeastSquaresProblem, Problem, Solution, SolverSettings
 
 _SLOTS = threading.local()
@@ -26,6 +24,9 @@ def solve(
     """
     compiled = library()
     if compiled is None:
+        from sphere_nmpc.solver.minimum_time import minimise_time  # loads CasADi
+        from sphere_nmpc.solver.plain import minimise
+
         if isinstance(problem, LeastSquaresProblem):
             return minimise(problem, start, settings, time_budget)
         return minimise_time(problem, start, settings, time_budget)

@@ -26,7 +26,7 @@ from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.settings import ControllerSettings
 
 _CONTROLLABILITY_EVERY = 0.5
-"""Control time between two evaluations of the controllability [s]; each takes 0.1 ms."""
+"""Control time between two evaluations of the controllability [s]; each takes 0.2 ms."""
 _CONSTANTS = ("shell_radius_m", "c1", "r1", "r3")
 
 
@@ -45,7 +45,6 @@ class ControllerStatus:
         self._monitor = StabilityMonitor()
         self._stability: StabilityReport | None = None
         self._stability_at = self._evaluated_at = float("-inf")
-        # The first call builds the brackets, which takes longer than a sample.
         start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         self._controllability: Controllability = controllability(start, robot.lumped)
 

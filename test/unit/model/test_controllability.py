@@ -4,16 +4,18 @@
 
 import numpy as np
 import pytest
+from lie_brackets import bracket_matrix
 from scipy.spatial.transform import Rotation
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.controllability import (
-    bracket_matrix,
     controllability,
     distance_to_circle,
+    third_order_brackets,
 )
 from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, as_state
+from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 
 LUMPED = RobotParameters().lumped
 
@@ -52,6 +54,23 @@ def test_brackets_of_three_fields_lose_one_direction_on_the_circle_and_four_rega
         # Rounding of numbers of order 20.
         assert (result.smallest_singular_value < 1e-13) == is_on_circle
         assert not is_on_circle or result.distance_to_circle < 1e-14
+
+
+def test_brackets_agree_with_those_that_casadi_differentiates() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        state = state_at(*rng.uniform(-1.5, 1.5, 3))
+        mass, radius = rng.uniform((0.5, 0.2), (2.0, 0.6))
+        robot = RobotParameters(shell_mass=mass, shell_radius=radius)
+        turn = rotation.matrix(state[QUATERNION])
+        found = third_order_brackets(turn[2], robot.lumped)
+        displacement = turn @ found[3:]
+        # Rounding of numbers of order 100, in either frame.
+        np.testing.assert_allclose(
+            np.vstack((displacement[:2], found[:3])), bracket_matrix(state, robot.lumped)[:, :5],
+            atol=1e-11,
+        )
+        np.testing.assert_allclose(displacement[2], 0.0, atol=1e-12)
 
 
 def test_first_bracket_agrees_with_a_finite_difference_of_the_fields() -> None:

@@ -64,15 +64,14 @@ define new_venv
 $(PYTHON) -m venv $(@D)
 endef
 
-# The last ones decide the compiled solver, which the installation builds.
-$(VENV)/.stamp: setup.py requirements/lock.txt $(wildcard sphere_nmpc/solver/native/*.[ch] \
-		sphere_nmpc/model/*.py) sphere_nmpc/solver/native/codegen.py sphere_nmpc/solver/native/layout.py \
-		sphere_nmpc/solver/problem.py
+# The last ones are what the solver is compiled from.
+$(VENV)/.stamp: setup.py package.xml requirements/lock.txt \
+		$(wildcard sphere_nmpc/solver/native/*.[ch] sphere_nmpc/solver/native/*.inc)
 	$(new_venv)
 	@echo "$(@D), 1 of 2: ROS 2, CasADi, SciPy, MuJoCo, viser, test tools ..., once:"
 	@echo "  350 MB to download, 1.3 GB on disk, a minute and the download"
 	$(PIP) --use-pep517 -r requirements/lock.txt
-	@echo "$(@D), 2 of 2: this package, whose solver is generated and compiled: half a minute"
+	@echo "$(@D), 2 of 2: this package, whose solver is compiled: half a minute"
 	$(PIP) --no-build-isolation -e .
 	@touch $@
 

@@ -1,38 +1,53 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Metadata, which colcon cannot read from a ``[project]`` table, and the build of the solver."""
+"""Metadata, which colcon cannot read from a ``[project]`` table, and the build of the solver.
+
+Name, version, description, maintainers and addresses are those of ``package.xml``.
+"""
 
 import os
-import platform
-import sys
+import shlex
+import shutil
+import subprocess
+import sysconfig
 import tempfile
 from glob import glob
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 
-NAME = "sphere_nmpc"
+try:
+    from setuptools.command.bdist_wheel import bdist_wheel
+except ImportError:  # setuptools before 70.1: colcon on Ubuntu 24.04, which builds no wheels
+    bdist_wheel = object
+
+ROOT = Path(__file__).resolve().parent
+"""The source tree; `colcon build --symlink-install` works in a folder of links."""
+PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
+NAME, MAINTAINERS = PACKAGE.findtext("name"), PACKAGE.findall("maintainer")
 SHARED = (
     "config", "config/maps", "examples", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook",
-)
-VERBS = (
-    "demo", "simulator", "controller", "navigator", "recorder", "goal", "viewer", "markers",
-    "study", "benchmark", "report",
 )
 READING = ["rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "zstandard>=0.22"]
 """To read recordings. Of rosbags the type store and the form in which bags hold QoS profiles are
 used; its minor versions below 1.0 change interfaces, as 0.11 did those of the reader."""
-MAPS = ["pyyaml>=5.4", "pillow>=9"]
-"""To read map files."""
+SCIPY = "scipy>=1.11,<2"
+MAPS = ["pyyaml>=5.4", "pillow>=9", SCIPY]
+"""To read map files, and for distances on maps."""
+ROS = ("ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6")
 EXTRAS = {
-    "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6", *MAPS],
+    # There are no wheels of ROS for other machines: there it comes from an installation of ROS.
+    "ros": [*(f"{wheel}; platform_machine == 'x86_64'" for wheel in ROS), *MAPS],
     "record": [*READING, "mcap-ros2-support>=0.5,<1"],
     "sim": ["rich>=13", "matplotlib>=3.8,<4", *MAPS],
     "study": ["dask>=2024.8", "distributed>=2024.8"],
     "rigid": ["mujoco>=3.2,<5"],
     "viewer": ["viser>=1.0,<2"],
     "report": [*READING, "matplotlib>=3.8,<4", "pyarrow>=16"],
+    # Also for the plain solver, where the compiled one cannot be used.
+    "benchmark": ["casadi>=3.6.7,<4", SCIPY],
     # launch_testing's pytest plugin breaks under pytest 9.
     "test": [
         "pytest>=7.4,<9", "pytest-xdist>=3.3", "hypothesis>=6.100", "ruff>=0.9", "mypy>=1.14",
@@ -40,73 +55,58 @@ EXTRAS = {
     ],
 }
 
-DEPENDS = [
-    "setup.py",
-    *sorted(glob("sphere_nmpc/solver/native/*.[ch]") + glob("sphere_nmpc/model/*.py")),
-    "sphere_nmpc/solver/native/codegen.py",
-    "sphere_nmpc/solver/native/layout.py",
-    "sphere_nmpc/solver/problem.py",
-]
-"""What decides the compiled solver; the Makefile has the same list."""
+SOURCE = "sphere_nmpc/solver/native/solver.c"
 FLAGS = [
-    "-O3", "-std=gnu11", "-ffp-contract=fast", "-fno-math-errno", "-Wno-psabi", "-g0",
-    # Undoes the -fwrapv of Python's own options, so that every Python builds the same solver.
-    "-fstrict-overflow",
+    "-O3", "-std=gnu11", "-ffp-contract=fast", "-fno-math-errno", "-Wno-psabi", "-fPIC", "-shared",
 ]
 LEVELS: dict[str, list[str]] = {"": []}
 """Compiler options by the suffix that ``hold_level`` in solver.c returns for a processor."""
-if platform.machine().lower() in ("x86_64", "amd64"):
+# That of the machine that is built for, which a cross build has in _PYTHON_HOST_PLATFORM.
+if sysconfig.get_platform().endswith(("x86_64", "amd64")):
     LEVELS |= {
         # On Zen 2 and 3 chains of fused operations are slow; tuned for any processor, the code is
         # up to 4 % slower there.
         "_avx2": ["-mavx2", "-mfma", "-mtune=znver2"],
         "_avx512": ["-mavx512f", "-mavx512dq", "-mavx512vl", "-mfma", "-mtune=skylake-avx512"],
     }
+IS_PLAIN = os.environ.get("SPHERE_NMPC_SOLVER") == "plain"
 
 
 class BuildSolver(build_ext):
-    """Builds a shared library, loaded by ctypes, for each instruction set.
+    """Compiles a shared library, loaded by ctypes, for each instruction set.
 
-    Where that is not possible the package is installed all the same: it has a slower solver.
+    The compiler is CC, or the one of the system; not that of Python's own build, so that every
+    Python has the same solver.
     """
 
     def run(self) -> None:
         """Build, and copy the libraries into the source tree for an editable installation."""
+        self.parallel = True
         try:
             super().run()
-        except Exception as cause:
-            self.extensions = []
-            words = " ".join(str(cause).split())
-            print(
-                f"sphere_nmpc: the solver is not compiled ({words}); a plain one takes its place, "
-                "which takes about 300 times as long. To cure this, install the package again "
-                "with a C compiler and CasADi", file=sys.stderr,
-            )
-
-    def build_extensions(self) -> None:
-        """Generate the kernels, then compile in parallel, each library in a folder of its own."""
-        sys.path.insert(0, os.getcwd())
-        from sphere_nmpc.solver.native.codegen import kernel_source
-        from sphere_nmpc.solver.native.layout import problem_header
-
-        folder = Path(self.build_temp)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "kernels.h").write_text(kernel_source(), encoding="utf-8")
-        (folder / "problem.h").write_text(problem_header(), encoding="utf-8")
-        self.parallel = True
-        super().build_extensions()
+        except (OSError, subprocess.CalledProcessError) as cause:
+            printed = getattr(cause, "stderr", None) or str(cause)
+            raise SystemExit(
+                f"{NAME}: the solver cannot be compiled, which takes a C compiler, GCC or Clang "
+                f"(on Debian and Ubuntu: apt install gcc libc6-dev); SPHERE_NMPC_SOLVER=plain "
+                f"installs without it, with a solver that takes 300 times as long and needs "
+                f"CasADi:\n{printed}"
+            ) from cause
 
     def build_extension(self, ext: Extension) -> None:
-        """Compile and link one library, unless one in the build folder is up to date."""
+        """Compile one library, unless one in the build folder is up to date."""
         made = Path(self.get_ext_fullpath(ext.name))
         changed = max(Path(source).stat().st_mtime for source in [*ext.sources, *ext.depends])
         if made.exists() and made.stat().st_mtime > changed:
             return
-        objects = self.compiler.compile(
-            ext.sources, os.path.join(self.build_temp, ext.name), include_dirs=[self.build_temp],
-            extra_postargs=ext.extra_compile_args,
+        made.parent.mkdir(parents=True, exist_ok=True)
+        found = next(filter(shutil.which, ("cc", "gcc", "clang")), "cc")
+        compiler = shlex.split(os.environ.get("CC") or found)
+        given = [shlex.split(os.environ.get(name, "")) for name in ("CFLAGS", "LDFLAGS")]
+        command = [*compiler, *given[0], *FLAGS, *ext.extra_compile_args, *ext.sources, *given[1]]
+        subprocess.run(
+            [*command, "-o", made, "-lm"], check=True, stderr=subprocess.PIPE, text=True
         )
-        self.compiler.link_shared_object(objects, str(made), libraries=["m"])
 
     def get_ext_filename(self, fullname: str) -> str:
         """Return the name of a library, without the tag of a Python version: it serves all."""
@@ -119,51 +119,67 @@ class BuildSolver(build_ext):
         os.replace(fresh, outfile)
 
 
+class Wheel(bdist_wheel):
+    """Wheel for every Python 3 of a platform: the libraries do not use Python's interface."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        """Return the tags of Python, its binary interface and the platform."""
+        return "py3", "none", super().get_tag()[2]
+
+
+COMMANDS = {} if bdist_wheel is object else {"bdist_wheel": Wheel}
 # Not in the source tree: two installations from one tree may run at once.
 build_folder = tempfile.TemporaryDirectory()
 setup(
     options={"build": {"build_base": build_folder.name}},
-    cmdclass={"build_ext": BuildSolver},
-    ext_modules=[
+    cmdclass={"build_ext": BuildSolver, **COMMANDS},
+    ext_modules=[] if IS_PLAIN else [
         Extension(
-            f"sphere_nmpc.solver.native.solver{level}", ["sphere_nmpc/solver/native/solver.c"],
-            extra_compile_args=[*FLAGS, *flags], depends=DEPENDS,
+            f"sphere_nmpc.solver.native.solver{level}", [SOURCE], extra_compile_args=flags,
+            depends=["setup.py", *glob("sphere_nmpc/solver/native/*.h"),
+                     *glob("sphere_nmpc/solver/native/*.inc")],
         )
         for level, flags in LEVELS.items()
     ],
     name=NAME,
-    version="0.1.0",
-    description="NMPC of a rolling sphere with two rotors, to any position and orientation",
-    long_description=(
-        "A ROS 2 Jazzy package with simulator, nonlinear model predictive controller, recorder, "
-        "viewer and study tools for a rolling sphere driven by two internal rotors."
-    ),
-    maintainer="sphere_nmpc maintainers",
-    maintainer_email="sphere-nmpc@example.org",
-    license="Apache-2.0",
+    version=PACKAGE.findtext("version"),
+    description=PACKAGE.findtext("description"),
+    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    author=", ".join(person.text for person in MAINTAINERS),
+    maintainer=", ".join(person.text for person in MAINTAINERS),
+    maintainer_email=", ".join(person.attrib["email"] for person in MAINTAINERS),
+    url=PACKAGE.findtext("url[@type='website']"),
+    project_urls={
+        url.attrib["type"].capitalize(): url.text for url in PACKAGE.findall("url")
+    },
+    license=PACKAGE.findtext("license"),
+    license_files=["LICENSE"],
+    keywords=["model predictive control", "nonholonomic", "spherical robot", "ROS 2"],
     classifiers=[
+        "Development Status :: 4 - Beta",
+        "Environment :: Console",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: C",
         "Programming Language :: Python :: 3",
+        *(f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 15)),
         "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sphere_sim", "sphere_sim.*"]),
-    package_data={
-        "": ["py.typed", "*.c", "*.h", "*.css", "*.html", "*.js", "*.csv", "*.npz", "*.xml"]
-    },
+    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.csv", "*.npz", "*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        # What `ros2 run` starts.
+        (f"lib/{NAME}", sorted(glob("scripts/*"))),
         # Where the hook of a colcon workspace (colcon.pkg) finds it.
         (f"share/{NAME}/bin", [f"hook/{NAME}"]),
         *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in SHARED),
     ],
-    install_requires=["numpy>=1.26,<3", "scipy>=1.11,<2", "casadi>=3.6.7,<4"],
+    install_requires=["numpy>=1.26,<3"],
     extras_require={**EXTRAS, "all": sorted({r for rs in EXTRAS.values() for r in rs})},
-    entry_points={
-        "console_scripts": [
-            "sphere_nmpc = sphere_sim.cli.main:main",
-            # Each verb too, for `ros2 run`; the command knows the verb by the name of the script.
-            *(f"{verb} = sphere_sim.cli.main:main" for verb in VERBS),
-        ]
-    },
+    entry_points={"console_scripts": [f"{NAME} = sphere_sim.cli.main:main"]},
 )

@@ -39,6 +39,7 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
@@ -76,6 +77,7 @@ class Controller:
         strategy: Strategy | None = None,
         worker: Worker | None = None,
     ) -> None:
+        library()  # it is loaded, or its absence told, here and not at the first instant
         self._settings = settings = settings.of(robot)
         robot = self._robot = within_torque(robot)
         self._worker = worker

@@ -3,9 +3,9 @@
 """The ``sphere_nmpc`` command, which passes the arguments after a verb to its module.
 
 Modules are imported only when their verb is called, so that the command starts quickly and
-needs no more than what the verb needs. Each verb is an executable of its own too, for
-``ros2 run``: started by the name of a verb, the command uses that as its first word.
-``--debug``, before or after the verb, shows the traceback of an error.
+needs no more than what the verb needs. For ``ros2 run`` each verb is an executable of its own too,
+in ``scripts/``, which starts the command. ``--debug``, before or after the verb, shows the
+traceback of an error.
 """
 
 import logging
@@ -38,8 +38,8 @@ _ROS_ARGUMENTS = "--ros-args"
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb with its arguments; return its exit code, see `guarded`, or 2 for no such verb.
 
-    By default they are those of the process, whose own name may be the verb, and whose signals and
-    standard streams are then the command's to handle.
+    By default they are those of the process, whose signals and standard streams are then the
+    command's to handle.
     """
     signals, output = Signals(), Output()
     if argv is not None:
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Without matplotlib's messages about its font cache.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
-        code = _run(of_process(), signals)
+        code = _run(sys.argv[1:], signals)
     finally:
         signals.exit_immediately()
     failure = output.failure()
@@ -92,12 +92,6 @@ def _without_debug(argv: Sequence[str]) -> tuple[list[str], bool]:
     end = words.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in words else len(words)
     ours = [word for word in words[:end] if word != _DEBUG]
     return ours + words[end:], len(ours) < end
-
-
-def of_process() -> list[str]:
-    """Return the words of this process: `report ...` means `sphere_nmpc report ...`."""
-    name = os.path.splitext(os.path.basename(sys.argv[0]))[0]  # on Windows there is a suffix
-    return [name, *sys.argv[1:]] if name in VERBS else sys.argv[1:]
 
 
 def _usage() -> str:

@@ -17,6 +17,7 @@ EXTRAS = {
     "rigid": ("mujoco",),
     "viewer": ("viser",),
     "report": ("pyarrow",),
+    "benchmark": ("casadi", "scipy"),
 }
 
 _log = logging.getLogger("sphere_nmpc")

@@ -134,3 +134,26 @@ def test_child_imports_what_its_parent_imports_or_from_its_own_path(tmp_path, mo
     other = run(python_command(program, "x", python=sys.executable))
     assert other.returncode == 0
     assert other.stdout.startswith("['x'] ['") and str(beside) not in other.stdout
+
+
+WITHOUT = """
+import sys
+sys.modules |= {"casadi": None, "scipy": None}  # as if they were not installed
+import sphere_nmpc.ros.controller.node
+from dataclasses import replace
+from sphere_sim.scenario.scenarios import PAPER_CASES
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import run_scenario
+for strategy in ("time_optimal", "plan_keeping", "paper"):
+    settings = replace(StudyConditions().controller, strategy=strategy)
+    run = run_scenario(StudyConditions(controller=settings, duration=1.0), PAPER_CASES[3])
+    print(run.results["failures"], "crash" in run.results)
+"""
+
+
+def test_control_takes_neither_casadi_nor_scipy_where_the_solver_is_compiled() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=PATIENCE,
+        check=False,
+    )
+    assert done.stdout.split() == 3 * ["0", "False"], done.stdout + done.stderr

@@ -20,8 +20,6 @@ from solver_problems import make_problem
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native import library
-from sphere_nmpc.solver.native.codegen import kernel_source
-from sphere_nmpc.solver.native.layout import problem_header
 from sphere_nmpc.solver.problem import MinimumTimeProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 from sphere_nmpc.solver.solve import solve
@@ -92,9 +90,9 @@ def write_sources(folder: Path) -> None:
     So there is one build, which takes much longer than the calls.
     """
     sources = {
-        path.name: path.read_text(encoding="utf-8") for path in library.FOLDER.glob("*.[ch]")
+        path.name: path.read_text(encoding="utf-8")
+        for pattern in ("*.[ch]", "*.inc") for path in library.FOLDER.glob(pattern)
     }
-    sources |= {"kernels.h": kernel_source(), "problem.h": problem_header()}
     file, right, wrong = FAULTY
     assert right in sources[file]
     either = f'(getenv("SOLVER_FAULT") ? {wrong} : {right})'

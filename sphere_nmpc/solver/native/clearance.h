@@ -23,7 +23,8 @@ static double distance_at(const floor_corners *f, double x, double y)
     const float *corner = f->distances + (int64_t)row * f->columns + (int64_t)column;
     for (int i = 0; i < 2; i++)
         for (int j = 0; j < 2; j++) {
-            double away = hypot(u - column - j, v - row - i);
+            double across = u - column - j, up = v - row - i;
+            double away = sqrt(across * across + up * up);
             double bound = corner[i * f->columns + j] - f->side * away;
             if (bound > least) least = bound;
         }
@@ -32,7 +33,7 @@ static double distance_at(const floor_corners *f, double x, double y)
 
 static double speeds_of(const double *inputs, const double *state, int is_disturbed)
 {
-    double speed = hypot(inputs[0], inputs[1]);
+    double speed = sqrt(inputs[0] * inputs[0] + inputs[1] * inputs[1]);
     if (is_disturbed)
         speed += sqrt(state[6] * state[6] + state[7] * state[7] + state[8] * state[8]);
     return speed;

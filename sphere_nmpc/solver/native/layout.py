@@ -70,8 +70,8 @@ SIZE = sum(member.words for member in MEMBERS)
 """Words of the structure."""
 
 
-def problem_header() -> str:
-    """Return the C header ``problem.h``: the structure and the numbers of the statuses."""
+def problem_declaration() -> str:
+    """Return the C declaration of the structure and of the numbers of the statuses."""
     return f"{_declarations()}#define LAYOUT {check_sum()}\n"
 
 

@@ -11,6 +11,7 @@ import logging
 import os
 from dataclasses import fields
 from functools import cache
+from importlib.util import find_spec
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.layout import MEMBERS, SIZE, STATUSES, check_sum
 from sphere_nmpc.solver.problem import (
@@ -40,19 +42,28 @@ _SOLVERS = {
 _log = logging.getLogger("sphere_nmpc")
 
 
+class MissingSolverError(SphereNmpcError):
+    """The compiled solver cannot be used, and CasADi, for the plain one, is not installed."""
+
+
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the compiled solver; None, with one warning a process, where it cannot be used.
 
-    `sphere_nmpc.solver.plain` then takes its place.
+    `sphere_nmpc.solver.plain` then takes its place, or `MissingSolverError` is raised.
     """
     try:
         return _loaded()
     except OSError as cause:
+        if find_spec("casadi") is None:
+            raise MissingSolverError(
+                f"the compiled solver cannot be used ({cause}), and the plain one needs CasADi: "
+                "install the package again with a C compiler (in a checkout: make venv), or casadi"
+            ) from None
         _log.warning(
             "sphere_nmpc: the compiled solver is not used (%s); a plain one takes its place, with "
             "the same results in about 300 times the time. To cure this, install the "
-            "package again with a C compiler and CasADi (in a checkout: make venv)", cause,
+            "package again with a C compiler (in a checkout: make venv)", cause,
         )
         return None
 

@@ -4,8 +4,8 @@
  * The Levenberg-Marquardt iteration of solver/plain.py in C, with the same steps; that file explains
  * the method. Nothing is allocated: the caller provides the memory.
  *
- * problem.h and kernels.h are generated, by layout.py and codegen.py. setup.py compiles this file
- * once for each instruction set.
+ * codegen.py generates problem.inc and kernels.inc. setup.py compiles this file once for each
+ * instruction set.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
@@ -27,7 +27,7 @@ static double now(void)
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-#include "problem.h"
+#include "problem.inc"
 
 /* Whether the time budget of a solve that began at a reading of the clock is used up. */
 static int is_late(const problem *p, double began)
@@ -36,7 +36,7 @@ static int is_late(const problem *p, double began)
 }
 
 #include "vectors.h"
-#include "kernels.h"
+#include "kernels.inc"
 #include "quadratic_program.h"
 #include "workspace.h"
 #include "models.h"
@@ -101,7 +101,8 @@ static void least_squares(problem *p, double began)
             const double predicted = predicted_decrease(p, &w);
             const double gain = fmin(decrease / fmax(predicted, 1e-300), 1.0);
             small = decrease <= fmax(p->decrease_tolerance * p->cost, p->decrease_floor);
-            damping *= fmax(1.0 / 3.0, 1.0 - pow(2.0 * gain - 1.0, 3.0));
+            const double twice = 2.0 * gain - 1.0;
+            damping *= fmax(1.0 / 3.0, 1.0 - twice * twice * twice);
             damping = fmax(damping, MIN_DAMPING);
             growth = 2.0;
             accept_trial(p, &w);

@@ -53,6 +53,23 @@ def test_library_that_is_missing_or_of_another_layout_is_not_used(monkeypatch, t
         library._loaded()
 
 
+def test_without_a_solver_and_casadi_a_controller_is_refused_with_the_cure():
+    program = (
+        "from sphere_nmpc.control.controller import Controller\n"
+        "from sphere_nmpc.solver.native import library\n"
+        "from sphere_nmpc.settings import ControllerSettings\n"
+        "from sphere_nmpc.model.parameters import RobotParameters\n"
+        "library.find_spec = lambda name: None\n"
+        "try:\n    Controller(ControllerSettings(), RobotParameters())\n"
+        "except library.MissingSolverError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, library.VARIABLE: "plain"},
+        capture_output=True, text=True, check=False,
+    )
+    assert "needs CasADi: install" in done.stdout and not done.stderr, done.stderr
+
+
 RUNS = Path(sanitized_runs.__file__)
 OPTIONS = (
     "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O0 -std=gnu11 "

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands as ros2_controllers' joint trajectory controller interpolates them."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,7 +41,7 @@ class Interpolation:
         self._velocities = np.array([p.velocities for p in message.points])
 
     def sample(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions [rad] and velocities [rad/s], shape (2,), at or after the first point."""
+        """Return positions [rad] and velocities [rad/s], shape (2,), from the first point on."""
         i = int(np.searchsorted(self._times, time, side="right")) - 1
         if i == self._times.size - 1:
             return self._positions[i], self._velocities[i]
@@ -83,7 +84,7 @@ def test_angles_go_on_from_those_of_the_command_that_is_replaced(first, start, s
     for hold in (first, second.delayed(at), first.delayed(100.0)):
         sender.send(hold, 0)
     messages = [Interpolation(raw) for raw in node.published["rotor_trajectory"]]
-    for replaced, new in zip(messages, messages[1:], strict=False):
+    for replaced, new in pairwise(messages):
         expected, _ = replaced.sample(new.start)
         # As above, and a start that is rounded to nanoseconds.
         np.testing.assert_allclose(new.sample(new.start)[0], expected, rtol=0.0, atol=1e-6)

@@ -18,7 +18,7 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 _NOTICE = """
   Copyright 2026 sphere_nmpc contributors
   SPDX-License-Identifier: Apache-2.0
-  Generated from the robot's parameters; do not edit.
+  Generated from the parameters of the robot; do not edit.
 """
 
 _COLOURS = {

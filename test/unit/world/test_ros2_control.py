@@ -9,23 +9,20 @@ import numpy as np
 import pytest
 import yaml
 from robots import PALM, SIZES
+from ros2_control import Exported
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix
-from sphere_nmpc.model.state import Vector, angle_error, position_error
+from sphere_nmpc.model.state import angle_error, position_error
 from sphere_nmpc.ros.cdr import JOINT_NAMES
-from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.rigid_body.mjcf import make_mjcf
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
-from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.robot_description import MOCK, Hardware, make_urdf, mujoco_hardware
 
 ROOT = Path(__file__).parents[3]
 CONTROLLERS = yaml.safe_load((ROOT / "config" / "ros2_control.yaml").read_text("utf-8"))
 DRIVES = Hardware("my_robot/Drives", {"port": "/dev/ttyUSB0"})
 UPRIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-LEVEL = DisturbanceSettings()
 
 
 def described(hardware: Hardware, robot: RobotParameters = PALM) -> ElementTree.Element:
@@ -100,35 +97,6 @@ def test_controllers_find_all_their_interfaces(name) -> None:
     assert is_missing is (name == "pose_broadcaster"), "the only one that needs a measured pose"
     frame = CONTROLLERS[name]["ros__parameters"].get("frame_id", "imu")
     assert frame == "world" or frame in {link.get("name") for link in root.iter("link")}
-
-
-class Exported:
-    """Model in MuJoCo as mujoco_ros2_control runs it, with what it looks up by name."""
-
-    def __init__(self, robot: RobotParameters) -> None:
-        self.mujoco = pytest.importorskip("mujoco")
-        settings = RigidBodySettings().for_robot(robot)
-        text = make_mjcf(robot, settings, LEVEL, for_ros2_control=True)
-        self.model = self.mujoco.MjModel.from_xml_string(text)
-        self.data = self.mujoco.MjData(self.model)
-
-    @property
-    def state(self) -> Vector:
-        position = self.data.sensor("pose_pos").data[:2]
-        return np.concatenate((position, self.data.sensor("pose_quat").data))
-
-    def follow(self, hold: FirstOrderHold, share: float) -> Vector:
-        """Return the states after each step, shape (K, 6), and stay at the last one.
-
-        A command is the speed at `share` of the step for which it is held.
-        """
-        step, states = self.model.opt.timestep, []
-        for k in range(round(hold.end / step)):
-            self.data.ctrl[:] = hold.at((k + share) * step)
-            self.mujoco.mj_step(self.model, self.data)
-            self.mujoco.mj_forward(self.model, self.data)
-            states.append(self.state)
-        return np.array(states)
 
 
 def test_rotors_have_actuators_of_speed() -> None:

@@ -11,6 +11,7 @@ import yaml
 from robots import PALM, SIZES
 from ros2_control import Exported
 
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix
@@ -111,11 +112,35 @@ def test_rotors_have_actuators_of_speed() -> None:
         assert model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
 
 
+SUFFIXES = {
+    "imu": {"_quat": "FRAMEQUAT", "_gyro": "GYRO", "_accel": "ACCELEROMETER"},
+    "pose": {"_pos": "FRAMEPOS", "_quat": "FRAMEQUAT"},
+}
+"""Sensors of MuJoCo that mujoco_ros2_control looks for, by the type of a sensor of the URDF."""
+
+
+def test_sensors_of_the_description_are_found_in_the_model() -> None:
+    robot = Exported(PALM)
+    types = {robot.model.sensor(i).name: robot.model.sensor_type[i]
+             for i in range(robot.model.nsensor)}
+    found = {}
+    for sensor in described(mujoco_hardware(Path("sphere.xml"))).findall("ros2_control/sensor"):
+        given = {each.get("name"): each.text for each in sensor.findall("param")}
+        for suffix, kind in SUFFIXES[given["mujoco_type"]].items():
+            expected = getattr(robot.mujoco.mjtSensor, f"mjSENS_{kind}")
+            found[given["mujoco_sensor_name"] + suffix] = int(expected)
+    assert found == types and len(found) == 5
+
+
 def test_imu_at_rest_and_in_motion_measures_gravity_rate_and_turn() -> None:
     robot = Exported(RobotParameters())
     robot.mujoco.mj_forward(robot.model, robot.data)
     np.testing.assert_allclose(robot.data.sensor("imu_quat").data, UPRIGHT[2:])
     np.testing.assert_allclose(robot.data.sensor("imu_gyro").data, 0.0)
+    for _ in range(100):  # until the contact carries the weight
+        robot.step(np.zeros(2))
+    felt = robot.data.sensor("imu_accel").data
+    np.testing.assert_allclose(felt, [0.0, 0.0, GRAVITY], atol=1e-3)
     hold = FirstOrderHold(np.array([0.0, 1.0]), np.array([[0.0, 0.0], [0.0, 60.0]]))
     states = robot.follow(hold, 0.5)
     step = robot.model.opt.timestep

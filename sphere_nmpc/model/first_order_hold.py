@@ -110,6 +110,13 @@ class FirstOrderHold:
         speeds += here
         return speeds
 
+    def turned(self, time: float) -> Vector:
+        """Return the angles by which the rotors turn up to `time` [rad], shape (2,)."""
+        knots = bisect_left(self._knots, time)
+        times = np.append(self.times[:knots], min(max(time, self.start), self.end))
+        speeds = np.vstack((self.speeds[:knots], self.at(time)))
+        return 0.5 * np.diff(times) @ (speeds[1:] + speeds[:-1])
+
     def resampled(self, times: Vector) -> "FirstOrderHold":
         """Return the hold with knots at other times [s], strictly increasing, between its own."""
         speeds = np.column_stack([np.interp(times, self.times, row) for row in self.speeds.T])

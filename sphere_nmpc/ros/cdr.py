@@ -295,19 +295,23 @@ def pose_in_frame(numbers: tuple[float, ...], given: str, frame: str) -> Vector:
     return make_state((x, y), (qw, qx, qy, qz))
 
 
-def trajectory_message(hold: FirstOrderHold, epoch: int = 0) -> bytes:
-    """Return a first-order hold as the JointTrajectory of velocities alone at its knots.
+def trajectory_message(hold: FirstOrderHold, angles: Vector, epoch: int = 0) -> bytes:
+    """Return a first-order hold as a JointTrajectory of positions and velocities at its knots.
 
-    It is stamped with the time of the first one. A controller that interpolates the speeds
-    linearly, as ros2_controllers' joint trajectory controller does with velocities alone, moves
-    the rotors exactly as planned.
+    It is stamped with the time of the first one, at which the rotors have `angles` [rad], shape
+    (2,). The positions are the integral of the speeds, so that the cubics of ros2_controllers'
+    joint trajectory controller are parabolas and the rotors move exactly as planned. Without
+    positions it fails: it looks for them at the first point, to unwrap continuous joints, and at
+    the point before a trajectory is first sampled.
     """
     start = stamp_of(hold.start, epoch)
     # As `stamp_of`, for all knots.
     after = np.rint(hold.times * NANOSECONDS).astype(np.int64) - (start - epoch)
     points = np.zeros(hold.times.size, _POINT)
-    points["velocities"] = len(JOINT_NAMES)
-    points["speeds"] = hold.speeds
+    points["positions"] = points["velocities"] = len(JOINT_NAMES)
+    speeds = points["speeds"] = hold.speeds
+    turned = 0.5 * np.diff(hold.times)[:, None] * (speeds[1:] + speeds[:-1])
+    points["angles"] = np.cumsum(np.vstack((angles, turned)), axis=0)
     points["seconds"], points["nanoseconds"] = np.divmod(after, NANOSECONDS)
     count = _LENGTH.pack(hold.times.size)
     return b"".join((clock_message(start), _JOINTS, count, points.tobytes()))
@@ -404,9 +408,9 @@ def _text(*words: str) -> bytes:
 _JOINTS = _text("") + _LENGTH.pack(len(JOINT_NAMES)) + _text(*JOINT_NAMES)
 """From the stamp to the values: no frame, and the names of the joints."""
 _POINT = np.dtype([
-    ("positions", "<u4"), ("velocities", "<u4"), ("speeds", "<f8", (2,)), ("after", "<u8"),
-    ("seconds", "<i4"), ("nanoseconds", "<u4"),
+    ("positions", "<u8"), ("angles", "<f8", (2,)), ("velocities", "<u8"), ("speeds", "<f8", (2,)),
+    ("after", "<u8"), ("seconds", "<i4"), ("nanoseconds", "<u4"),
 ])
-"""Point of a trajectory of velocities alone: numbers of positions and velocities, the velocities,
+"""Point of a trajectory: number of positions and, aligned, the positions; the same of velocities;
 numbers of accelerations and efforts, and the time."""
 _STATES = struct.Struct("<I2dI4x2dI4x2d")

@@ -1,20 +1,24 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Model of the robot as URDF, for RViz and other tools."""
+"""Model of the robot as URDF, for RViz, ros2_control and other tools."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_mechanism
+from sphere_sim.world.plant.rigid_body.mjcf import IMU, POSE
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 
 _NOTICE = """
   Copyright 2026 sphere_nmpc contributors
   SPDX-License-Identifier: Apache-2.0
-  Generated from the robot's parameters; do not edit.
+  Generated from the parameters of the robot; do not edit.
 """
 
 _COLOURS = {
@@ -29,12 +33,50 @@ _MIN_THICKNESS = 1.0 / 15.0
 of the shell."""
 
 
-def make_urdf(robot: RobotParameters) -> str:
+_TURN = tuple(f"orientation.{axis}" for axis in "xyzw")
+_SENSORS = {
+    IMU: (
+        *_TURN, *(f"angular_velocity.{axis}" for axis in "xyz"),
+        *(f"linear_acceleration.{axis}" for axis in "xyz"),
+    ),
+    POSE: (*(f"position.{axis}" for axis in "xyz"), *_TURN),
+}
+"""State interfaces of sensors: those that the imu_sensor_broadcaster and the pose_broadcaster of
+ros2_controllers read."""
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """What ros2_control drives the rotors and reads the sensors with."""
+
+    plugin: str = "mock_components/GenericSystem"
+    """Class of a system, by default the one that takes each command for the state."""
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    sensors: tuple[str, ...] = (IMU,)
+    """Which of an IMU and a measured pose it has."""
+    sensor_types: bool = False
+    """Whether the sensors have the parameters by which mujoco_ros2_control knows them."""
+
+
+MOCK = Hardware(parameters={"calculate_dynamics": "true"})
+"""Stand-in that needs no robot: angles are the integral of the commanded speeds."""
+
+
+def mujoco_hardware(model: Path) -> Hardware:
+    """Return the simulation by mujoco_ros2_control of a file of MJCF made for it."""
+    parameters = {"mujoco_model": str(model.absolute())}
+    return Hardware(
+        "mujoco_ros2_control/MujocoSystemInterface", parameters, (IMU, POSE), sensor_types=True
+    )
+
+
+def make_urdf(robot: RobotParameters, hardware: Hardware = MOCK) -> str:
     """Return the model of the robot as URDF.
 
     `base_link` is the body frame at the centre of the shell and has no mass of its own, as
     some tools accept no inertia at the root; the shell and the counterweights are fixed
-    to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes.
+    to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes. An IMU is fixed in its
+    origin.
     """
     limits = RigidBodySettings().for_robot(robot)
     mechanism = build_mechanism(robot, limits.balanced)
@@ -60,9 +102,38 @@ def make_urdf(robot: RobotParameters) -> str:
         radius = (weight.mass / 7850.0 / (4.0 / 3.0 * math.pi)) ** (1.0 / 3.0)
         _add_shape(link, "visual", weight.name, (0.0, 0.0), "sphere", radius=radius)
         _add_joint(root, weight.name, weight.position, "fixed")
+    add_element(root, "link", name=IMU)
+    _add_joint(root, IMU, np.zeros(3), "fixed")
+    _add_control(root, hardware, robot.max_rotor_speed)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n{text}\n'
+
+
+def _add_control(root: ElementTree.Element, hardware: Hardware, max_speed: float) -> None:
+    """Add the joints and sensors of ros2_control."""
+    system = add_element(root, "ros2_control", name="sphere", type="system")
+    device = add_element(system, "hardware")
+    add_element(device, "plugin").text = hardware.plugin
+    _add_parameters(device, hardware.parameters)
+    for i in (1, 2):
+        joint = add_element(system, "joint", name=f"rotor_{i}_joint")
+        command = add_element(joint, "command_interface", name="velocity")
+        _add_parameters(command, {"min": _text(-max_speed), "max": _text(max_speed)})
+        for name in ("position", "velocity", "effort"):
+            state = add_element(joint, "state_interface", name=name)
+            _add_parameters(state, {"initial_value": "0.0"})
+    for sensor in hardware.sensors:
+        element = add_element(system, "sensor", name=sensor)
+        if hardware.sensor_types:
+            _add_parameters(element, {"mujoco_type": sensor, "mujoco_sensor_name": sensor})
+        for name in _SENSORS[sensor]:
+            add_element(element, "state_interface", name=name)
+
+
+def _add_parameters(element: ElementTree.Element, parameters: Mapping[str, str]) -> None:
+    for name, value in parameters.items():
+        add_element(element, "param", name=name).text = value
 
 
 def _add_link(root: ElementTree.Element, body: Body) -> ElementTree.Element:

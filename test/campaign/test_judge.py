@@ -76,7 +76,7 @@ def test_measured_speeds_may_change_by_the_error_of_a_servo_more(
 
 def command(start: float, *speeds: float, spacing: float = 0.5) -> bytes:
     times = start + spacing * np.arange(len(speeds))
-    return trajectory_message(FirstOrderHold(times, np.outer(speeds, [1.0, -1.0])))
+    return trajectory_message(FirstOrderHold(times, np.outer(speeds, [1.0, -1.0])), np.zeros(2))
 
 
 @pytest.mark.parametrize(

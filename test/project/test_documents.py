@@ -37,7 +37,10 @@ from sphere_nmpc.ros.settings import FrameSettings
 from sphere_sim.cli import benchmark, demo, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.ros.session import goal_command
+from sphere_sim.ros.simulator import robot_description
 
+MODULE = robot_description.__name__
+"""Module that documents run by its name."""
 PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "demo": demo.parse,
     "goal": goal_command.parse,
@@ -46,8 +49,9 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "benchmark": benchmark._parse,
     "report": report._parse,
     "faults": faults._parse,
+    MODULE: robot_description._parse,
 }
-"""Parser of each verb, and of `make faults`; the other verbs take the arguments of ROS only."""
+"""Parser of each verb, `make faults` and a module; other verbs take arguments of ROS only."""
 SETTINGS: dict[str, list[tuple[str, Any]]] = {
     node: [("", settings), *([("robot", RobotParameters())] if node in OF_ROBOT else []),
            *((prefix, more) for prefix, _, more in PARTS[node])]
@@ -68,8 +72,12 @@ FLAGS = {
 ASSIGNING = ("-p", "--param", "-r", "--remap")
 OF_ROS = ("--params-file", "--enclave", "--log-level")
 """Arguments of ROS with name:=value, and others."""
-NOT_CHECKED = ("security", "pkg prefix", "topic list", "node list")
-"""Commands of ros2 whose arguments do not depend on the package."""
+NOT_CHECKED = (
+    "security", "pkg prefix", "topic list", "node list", "run robot_state_publisher",
+    "run controller_manager", "run mujoco_ros2_control",
+)
+"""Commands of ros2 whose arguments do not depend on the package, and of packages that are not
+there."""
 GOALS = ("goal_pose", "goal_point", "goals")
 """Topics on which a controller is given goals."""
 REFUSALS = (SphereNmpcError, AssertionError, TypeError, ValueError, RuntimeError)
@@ -266,6 +274,10 @@ def check(command: Command) -> None:
             name, _, value = word.partition("=")
             if name == "ARGS" and rest[0] in ("demo", "faults"):
                 check_own(rest[0], shlex.split(value), False)
+    elif first in ("python", "python3") and rest[:2] == ["-m", MODULE]:
+        at = rest.index("--ros-args")
+        check_own(MODULE, rest[2:at], command.inline)
+        check_ros(["simulator"], rest[at + 1:])
     elif first in ("python", "python3") and rest[0].endswith(".py"):
         if not rest[0].startswith("/") and not (ROOT / rest[0]).exists():
             raise WrongCommandError(f"{rest[0]}: no script of the package")
@@ -303,6 +315,8 @@ def test_commands_in_documents_are_understood() -> None:
         ("ros2 action list", "a new kind of command"),
         ("make tea", "no target of make"),
         ("python bench/none.py", "no script"),
+        ("python3 -m sphere_sim.ros.simulator.robot_description --mjfc x --ros-args",
+         "unrecognized arguments: --mjfc"),
     ],
 )
 def test_wrong_command_is_refused(line, wrong) -> None:

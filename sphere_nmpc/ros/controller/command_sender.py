@@ -5,13 +5,14 @@
 import time
 from collections.abc import Callable
 
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.ros.cdr import speeds_message, trajectory_message
 
 _COPIES = 2
@@ -36,6 +37,8 @@ class CommandSender:
         self._period = 1.0 / command_rate
         self._now = now
         self._hold: FirstOrderHold | None = None
+        # Those of the next hold go on from them: where a receiver joins both, it finds no jump.
+        self._angles: Vector = np.zeros(INPUT_SIZE)
         self._silent = True
         self._trajectory: bytes | None = None
         self._copies = 0
@@ -48,10 +51,12 @@ class CommandSender:
 
         `is_repeated` says whether to send copies soon after it, as the first one may be lost.
         """
+        if self._hold is not None:
+            self._angles = self._angles + self._hold.turned(hold.start)
         self._hold = hold
         self._copies = _COPIES if is_repeated else 0
         self._silent = False
-        self._trajectory = trajectory_message(hold, epoch)
+        self._trajectory = trajectory_message(hold, self._angles, epoch)
         self.repeat()
 
     def forget(self) -> None:

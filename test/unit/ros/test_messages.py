@@ -79,11 +79,12 @@ def test_pose_is_the_one_of_rclpy_both_ways(state, stamp, frame) -> None:
 
 @given(hold=holds(), epoch=EPOCHS, swapped=st.booleans())
 def test_trajectory_is_read_as_the_hold_that_was_written(hold, epoch, swapped) -> None:
-    written = cdr.trajectory_message(hold, epoch)
+    written = cdr.trajectory_message(hold, np.array([3.0, -4.0]), epoch)
     message = deserialize_message(written, JointTrajectory)
     if swapped:
         message.joint_names = message.joint_names[::-1]
         for point in message.points:
+            point.positions = point.positions[::-1]
             point.velocities = point.velocities[::-1]
     for given_as in (written, serialize_message(message)):
         read, stamp = cdr.hold_and_stamp(given_as, 0, epoch)
@@ -172,7 +173,7 @@ def test_pose_of_a_big_endian_machine_is_read() -> None:
     [
         (cdr.pose_message(AT_ORIGIN, 1, 0.3), cdr.pose_of_message),
         (
-            cdr.trajectory_message(FirstOrderHold.constant(0.0, np.zeros(2))),
+            cdr.trajectory_message(FirstOrderHold.constant(0.0, np.zeros(2)), np.zeros(2)),
             lambda raw: cdr.hold_and_stamp(raw, 0),
         ),
         (cdr.joint_states_message(*np.zeros((3, 2)), 0), cdr.rotor_speeds_and_stamp),

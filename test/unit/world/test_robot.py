@@ -118,7 +118,7 @@ def numbers(element, name):
 def test_masses_and_inertias_add_up(robot):
     root = ElementTree.fromstring(make_urdf(robot).partition("\n")[2])
     place = {"base_link": np.zeros(3)}
-    for joint in root.iter("joint"):
+    for joint in root.findall("joint"):
         place[joint.find("child").get("link")] = numbers(joint.find("origin"), "xyz")
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for link in root.iter("link"):

@@ -20,6 +20,14 @@ from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_me
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.walls import Walls
 
+IMU, POSE = "imu", "pose"
+"""Sensors for ros2_control: one in the shell, whose frame is the body's, and the pose of it."""
+SENSORS = {
+    f"{IMU}_quat": "framequat", f"{IMU}_gyro": "gyro", f"{IMU}_accel": "accelerometer",
+    f"{POSE}_pos": "framepos", f"{POSE}_quat": "framequat",
+}
+"""MuJoCo's sensors that they consist of, by the names that mujoco_ros2_control looks for."""
+
 _IMPEDANCE_RATIO = 10
 """Ratio of the impedances of friction and normal force [-]."""
 
@@ -82,7 +90,7 @@ def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
 
 def make_mjcf(
     robot: RobotParameters, settings: RigidBodySettings, disturbances: DisturbanceSettings,
-    floor: RoughFloor | None = None, walls: Walls | None = None,
+    floor: RoughFloor | None = None, walls: Walls | None = None, for_ros2_control: bool = False,
 ) -> str:
     """Return the model of the robot on its floor.
 
@@ -90,6 +98,9 @@ def make_mjcf(
     into the compiled model. Walls are boxes, with the same contact as the floor. Actuators and
     joints are in the order rotor 1, rotor 2. The world frame is that of the floor: a slope tilts
     gravity, so that x and y are coordinates in it.
+
+    Of an actuator the control is the slope of the speed reference [rad/s^2], or, for ros2_control,
+    the reference itself [rad/s]; the model then has the sensors of `SENSORS` too.
     """
     root = ElementTree.Element("mujoco", model="sphere")
     add_element(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -120,14 +131,20 @@ def make_mjcf(
     _add_robot(world, robot, settings, disturbances)
     actuators = add_element(root, "actuator")
     gain = servo_gain(robot, settings)
+    # With an integrator the activation is the speed reference, so that ramps are exact.
+    dynamics = "none" if for_ros2_control else "integrator"
     for i in (1, 2):
-        # The activation is the speed reference, the control its slope, so that ramps are exact.
         add_element(
             actuators, "general", name=f"rotor_{i}_drive", joint=f"rotor_{i}_joint",
-            dyntype="integrator", gainprm=_text(gain), biastype="affine",
+            dyntype=dynamics, gainprm=_text(gain), biastype="affine",
             biasprm=_text(0.0, 0.0, -gain),
             forcerange=_text(-settings.torque_limit, settings.torque_limit),
         )
+    if for_ros2_control:
+        sensors = add_element(root, "sensor")
+        for name, kind in SENSORS.items():
+            frame = {"objtype": "site", "objname": IMU} if "frame" in kind else {"site": IMU}
+            add_element(sensors, kind, name=name, **frame)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -173,6 +190,7 @@ def _add_robot(
         solref=_text(settings.contact_time_constant, 1.0),
         solimp=_text(settings.contact_impedance, settings.contact_impedance, 0.001),
     )
+    add_element(base, "site", name=IMU)
     for i, rotor in enumerate(mechanism.rotors):
         body = add_element(base, "body", name=rotor.name, pos=_text(*rotor.position))
         axis = _text(*np.eye(3)[i])

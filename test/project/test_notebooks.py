@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
+from compiled_solver import compiled
 from documented_examples import EXAMPLES
 from notebook_cells import agree, code_cells, printed_by, run_notebook, text_of
 
@@ -69,6 +70,7 @@ def test_outputs_are_text_and_pictures_without_warnings(path) -> None:
 @pytest.mark.slow
 @each_notebook
 def test_cells_run_in_a_new_process_and_print_what_the_notebook_has(path, monkeypatch) -> None:
+    assert compiled(), "without it a notebook takes minutes"
     monkeypatch.setenv("MPLBACKEND", "Agg")
     done = run_notebook(path)
     assert done.returncode == 0, done.stderr

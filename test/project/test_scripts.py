@@ -94,7 +94,9 @@ def test_yaml_gives_the_defaults_back(node) -> None:
         assert isinstance(value, list) or type(value) is type(expected[key])
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+@pytest.mark.parametrize(
+    "name", sorted(path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb"))
+)
 def test_what_the_tutorial_quotes_is_in_the_example(name) -> None:
     assert f"(../examples/{name})" in section(name)
     source = (EXAMPLES / name).read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from patience import PATIENCE
 from sphere_nmpc.child import python_command
 
 EXAMPLES = ROOT / "examples"
-_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)?")
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)?")
 
 
 def section(name: str) -> str:
@@ -29,7 +29,7 @@ def printed(name: str, language: str) -> list[str]:
 
 def forms(text: str) -> set[str]:
     """Return the lines of an output, each once, with # for each number and single spaces."""
-    return {_NUMBER.sub("#", " ".join(line.split())) for line in text.splitlines()}
+    return {NUMBER.sub("#", " ".join(line.split())) for line in text.splitlines()}
 
 
 def example_command(name: str, *arguments: str) -> list[str]:

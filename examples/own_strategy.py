@@ -82,7 +82,7 @@ class RollTo:
 
 def main() -> None:
     """Run the paper's first case to its position, and print how it went."""
-    STRATEGIES["roll_to"] = StrategyEntry(sample_period=0.25, path=f"{__name__}:RollTo")
+    STRATEGIES["roll_to"] = StrategyEntry(f"{__name__}:RollTo")
     goal = Goal(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), Orientation.ANY)
     robot = RobotParameters()
     for strategy in ("roll_to", "time_optimal"):

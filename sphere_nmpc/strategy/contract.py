@@ -163,5 +163,5 @@ def make_strategy(settings: ControllerSettings, robot: RobotParameters) -> Strat
 
     `robot` has the parameters of the robot and the limits of its drives.
     """
-    strategy: Strategy = STRATEGIES[settings.strategy].load()(settings, robot)
+    strategy: Strategy = STRATEGIES.load(settings.strategy)(settings, robot)
     return strategy

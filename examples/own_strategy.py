@@ -4,9 +4,8 @@
 """A strategy of one's own: a receding horizon by SciPy that rolls to a position.
 
 ``python examples/own_strategy.py`` runs it in the closed loop without ROS. An installed package
-brings it to nodes, launch file and commands by a line in its ``setup.py``::
-
-    entry_points={"sphere_nmpc.strategies": ["roll_to = own_strategy:RollTo"]}
+brings it to nodes, launch file and commands by an entry point, as `setup.py` beside this file
+does.
 """
 
 import numpy as np

@@ -45,6 +45,8 @@ class CheckedPlant:
         self.contact = contact
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
         size = _SIZES.get(name)
         if size is not None:
             return self._quantity(name, size)

@@ -10,9 +10,15 @@ import pytest
 from sphere_nmpc import entry_table
 from sphere_nmpc.entry_table import Entry, EntryTable
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry
+from sphere_sim.world.plant.checked import SIZES
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import PLANTS
 
+UPRIGHT = upright_state(0.0, 0.0, 0.0)
 TABLES = {"strategy": STRATEGIES, "plant": PLANTS}
 METHODS = {
     "strategy": "plan, change, reset",
@@ -25,6 +31,19 @@ def test_each_class_of_this_package_has_the_methods_of_its_contract() -> None:
         for name in table.own:
             kind = table.load(name)
             assert f"{kind.__module__}:{kind.__name__}" == table[name].path
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS.own))
+def test_plant_of_this_package_has_all_of_the_contract_which_is_all_checked(name: str) -> None:
+    if name == "rigid_body":
+        pytest.importorskip("mujoco")
+    plant = make_plant(name, RobotParameters(), UPRIGHT)
+    members = {member for member in vars(Plant) if not member.startswith("_")}
+    assert not [member for member in members if not hasattr(plant, member)]
+    assert {name for name in members if isinstance(vars(Plant)[name], property)} == {
+        *SIZES, "contact"
+    }
+    assert all(getattr(plant, quantity).shape == (size,) for quantity, size in SIZES.items())
 
 
 @pytest.mark.parametrize("kind", TABLES)

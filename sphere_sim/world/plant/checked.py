@@ -12,7 +12,7 @@ from sphere_nmpc.model.state import Vector, as_state
 from sphere_sim.world.plant.contract import PlantError
 from sphere_sim.world.walls import Contact
 
-_SIZES = {
+SIZES = {
     "state": 6, "velocity": 3, "body_rate": 3, "momentum": 3, "rotor_angles": 2,
     "rotor_speeds": 2, "rotor_torques": 2,
 }
@@ -37,7 +37,7 @@ class CheckedPlant:
     def __init__(self, name: str, make: Callable[[], Any]) -> None:
         self._name = name
         self._plant = self._tried("cannot be made", make)
-        for quantity in _SIZES:
+        for quantity in SIZES:
             getattr(self, quantity)
         contact = self._tried("contact", lambda: self._plant.contact)
         if not isinstance(contact, Contact):
@@ -47,13 +47,13 @@ class CheckedPlant:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        size = _SIZES.get(name)
+        size = SIZES.get(name)
         if size is not None:
             return self._quantity(name, size)
 
         def call(*arguments: Any) -> None:
             self._tried(name, lambda: getattr(self._plant, name)(*arguments))
-            self._quantity("state", _SIZES["state"])
+            self._quantity("state", SIZES["state"])
 
         return call
 

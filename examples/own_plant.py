@@ -1,89 +1,176 @@
 #!/usr/bin/env python3
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The controller without ROS, on a plant of one's own.
+"""A plant of one's own, and the controller on it without ROS.
 
 ``python examples/own_plant.py``. The plant rolls without slipping, as in the model; its rotors
-lag behind their commands, and its mass is another one than the controller has been told.
+lag behind their commands, and its mass is another one than the controller has been told. An
+installed package brings it to the simulator node, launch file and studies by an entry point, as
+`setup.py` beside this file does.
 """
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector, make_state, state_error
+from sphere_nmpc.model.rotation import matrix
+from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
+from sphere_nmpc.quantity import quantity, validate
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.contract import PlantSettings
+from sphere_sim.world.walls import Contact, Walls
 
 START = make_state((2.0, -3.0), (0.6, 0.8, 0.0, 0.0))
 GOAL = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 """Position [m] and unit quaternion wxyz, body to world."""
 SETTLED = 0.01
 """Error in R^6 below which the sphere has settled."""
+STEP = 2e-3
+"""Longest step of the integration, and here that between two commands [s]."""
 
 
-class Plant:
-    """Rolling sphere whose rotors follow their commands with a lag, integrated by midpoints."""
+@dataclass(frozen=True)
+class LaggingSettings(PlantSettings):
+    """Settings that this plant has of its own; as parameters ``lagging.lag``."""
 
-    def __init__(self, robot: RobotParameters, lag: float, step: float = 2e-3) -> None:
-        self.state, self.time = START.copy(), 0.0
-        self.speeds: Vector = np.zeros(2)
-        self.step, self._share, self._radius = step, step / lag, robot.shell_radius
+    lag: float = quantity(
+        0.02, "s", "Lag of the rotors behind their commands", minimum=1e-3, maximum=0.1
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+class Lagging:
+    """Rolling sphere whose rotors follow their commands with a lag, integrated by midpoints.
+
+    The methods and quantities are those of `sphere_sim.world.plant.contract.Plant`.
+    """
+
+    Settings = LaggingSettings
+
+    def __init__(
+        self, robot: RobotParameters, state: Vector, disturbances: DisturbanceSettings,
+        walls: Walls | None, settings: LaggingSettings,
+    ) -> None:
+        if any(disturbances.mass_offset):
+            raise InvalidParameterError("mass_offset", disturbances.mass_offset, "0: balanced")
+        if disturbances.rolling_friction or disturbances.torsional_friction:
+            raise InvalidParameterError("friction", "one against rolling", "none")
+        self._lag, self._rotor = settings.lag, robot.rotor_axial_inertia
+        self._radius, self._mass = robot.shell_radius, robot.total_mass
         transverse, axial = robot.transverse_inertia, robot.axial_inertia
         self._rolling = robot.rolling_inertia
         self._inertia = np.diag([transverse, transverse, axial]) + self._rolling * np.eye(3)
-        self._rotor = robot.rotor_axial_inertia
+        self._gravity = np.array(disturbances.gravity)
+        self.contact = Contact(walls, self._radius)
+        self.reset(state)
 
-    def advance(self, command: FirstOrderHold | None) -> None:
-        """Go one step on, with the rotors on their way to the speeds of a command [rad/s]."""
-        wanted = np.zeros(2) if command is None else command.at(self.time)
-        self.speeds = self.speeds + self._share * (wanted - self.speeds)
-        middle = self.state + 0.5 * self.step * self._rate(self.state)
-        self.state = self.state + self.step * self._rate(middle)
-        self.state[2:] /= np.linalg.norm(self.state[2:])
-        self.time += self.step
+    def reset(self, state: Vector) -> None:
+        """Put the sphere at rest."""
+        self.state: Vector = state
+        self.momentum: Vector = np.zeros(3)
+        self.rotor_angles: Vector = np.zeros(2)
+        self.rotor_speeds: Vector = np.zeros(2)
+        self.rotor_torques: Vector = np.zeros(2)
+        self._reference: Vector = np.zeros(2)
 
-    def _rate(self, state: Vector) -> Vector:
-        """Return the rate of the state: angular momentum about the contact point stays zero."""
-        w, (x, y, z) = state[2], state[3:]
-        turn = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ])
-        vertical = turn[2]  # in the body frame
-        inertia = self._inertia - self._rolling * np.outer(vertical, vertical)
-        body_rate = np.linalg.solve(inertia, -self._rotor * np.append(self.speeds, 0.0))
-        a, b, c = body_rate
+    def displace(self, state: Vector) -> None:
+        """Put the sphere elsewhere, keeping rotors and momentum."""
+        self.state = state
+
+    def surround(self, walls: Walls | None) -> None:
+        """Replace the walls."""
+        self.contact.surround(walls)
+
+    def push(self, impulse: ArrayLike) -> None:
+        """Apply an impulse at the centre, which is above the contact point by the radius."""
+        horizontal = np.append(np.asarray(impulse, dtype=float), 0.0)
+        self.momentum = self.momentum + np.cross([0.0, 0.0, self._radius], horizontal)
+
+    def tilt(self, slope: float, direction: float) -> None:
+        """Incline the floor."""
+        floor = DisturbanceSettings(slope=slope, slope_direction=direction)
+        self._gravity = np.array(floor.gravity)
+
+    def advance(self, speeds_end: Vector, duration: float) -> None:
+        """Simulate a step in short ones, with the rotors on their way to the reference."""
+        steps = math.ceil(duration / STEP - 1e-9)
+        step, begin = duration / steps, self._reference
+        for i in range(steps):
+            wanted = begin + (speeds_end - begin) * (i + 1) / steps
+            self._step(step, (1.0 - math.exp(-step / self._lag)) * (wanted - self.rotor_speeds))
+        self._reference = speeds_end
+
+    def _step(self, step: float, change: Vector) -> None:
+        """Make a step of integration, in which the rotor speeds change."""
+        rate_before, before = self.body_rate, self.state
+        torque = np.cross([0.0, 0.0, self._radius], self._mass * self._gravity)
+        self.rotor_angles = self.rotor_angles + step * (self.rotor_speeds + 0.5 * change)
+        self.rotor_speeds = self.rotor_speeds + change
+        self.momentum = self.momentum + step * torque
+        self.state = before + 0.5 * step * self._rate()
+        after = before + step * self._rate()
+        after[QUATERNION] /= np.linalg.norm(after[QUATERNION])
+        # A step that leads into a wall is not made.
+        into_wall = self.contact.is_into_wall(before[:2].tolist(), after[:2].tolist())
+        self.state = before if into_wall else after
+        turning = (self.body_rate - rate_before)[:2] + change
+        self.rotor_torques = self._rotor * turning / step
+
+    def _rate(self) -> Vector:
+        """Return the rate of the state."""
+        w, x, y, z = self.state[QUATERNION]
+        a, b, c = self.body_rate
         quaternion_rate = 0.5 * np.array([
             -x * a - y * b - z * c, w * a + y * c - z * b, w * b + z * a - x * c,
             w * c + x * b - y * a,
         ])
-        world_rate = turn @ body_rate
-        velocity = self._radius * np.array([world_rate[1], -world_rate[0]])
-        return np.concatenate((velocity, quaternion_rate))
+        return np.concatenate((self.velocity[:2], quaternion_rate))
+
+    @property
+    def body_rate(self) -> Vector:
+        """Angular velocity [rad/s; body frame], from the momentum about the contact point."""
+        turn = matrix(self.state[QUATERNION])
+        vertical = turn[2]  # in the body frame
+        inertia = self._inertia - self._rolling * np.outer(vertical, vertical)
+        spin = self._rotor * np.append(self.rotor_speeds, 0.0)
+        return np.array(np.linalg.solve(inertia, turn.T @ self.momentum - spin))
+
+    @property
+    def velocity(self) -> Vector:
+        """Velocity of the centre [m/s; world frame]."""
+        world_rate = matrix(self.state[QUATERNION]) @ self.body_rate
+        return self._radius * np.array([world_rate[1], -world_rate[0], 0.0])
 
 
 def main() -> None:
     """Roll to the goal and print the error each second."""
     told, true = RobotParameters(), RobotParameters(shell_mass=1.1)
-    plant = Plant(true, lag=0.02)
+    plant = Lagging(true, START, DisturbanceSettings(), None, LaggingSettings())
     settings = ControllerSettings()
     controller = Controller(settings, told)
     controller.set_goal(GOAL)
-    steps = round(settings.control_period / plant.step)  # between two sampling instants
+    steps = round(settings.control_period / STEP)  # between two sampling instants
     command, settled_at = None, 0.0
-    for k in range(round(10.0 / plant.step) + 1):
+    for k in range(round(10.0 / STEP) + 1):
+        now = k * STEP
         error = state_error(plant.state, GOAL)
-        settled_at = plant.time if error > SETTLED else settled_at
-        if k % round(1.0 / plant.step) == 0:
-            print(f"{plant.time:4.0f} s   error {error:.4f}")
+        settled_at = now if error > SETTLED else settled_at
+        if k % round(1.0 / STEP) == 0:
+            print(f"{now:4.0f} s   error {error:.4f}")
         if k % steps == 0:
-            controller.observe(plant.time, plant.state)
-            decision = controller.decide(plant.time)
+            controller.observe(now, plant.state)
+            decision = controller.decide(now)
             # None where there is nothing to send: the command before ends at rest.
-            command = controller.commit(decision, plant.time) or command
-        plant.advance(command)
+            command = controller.commit(decision, now) or command
+        plant.advance(np.zeros(2) if command is None else command.at(now + STEP), STEP)
     print(f"settled after {settled_at:.2f} s; {decision.mode.value}")
     learnt = controller.estimator.plant
     gains = learnt.constants.input_gain, true.lumped.input_gain, told.lumped.input_gain

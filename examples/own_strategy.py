@@ -4,9 +4,8 @@
 """A strategy of one's own: a receding horizon by SciPy that rolls to a position.
 
 ``python examples/own_strategy.py`` runs it in the closed loop without ROS. An installed package
-brings it to nodes, launch file and commands by a line in its ``setup.py``::
-
-    entry_points={"sphere_nmpc.strategies": ["roll_to = own_strategy:RollTo"]}
+brings it to nodes, launch file and commands by an entry point, as `setup.py` beside this file
+does.
 """
 
 import numpy as np
@@ -82,7 +81,7 @@ class RollTo:
 
 def main() -> None:
     """Run the paper's first case to its position, and print how it went."""
-    STRATEGIES["roll_to"] = StrategyEntry(sample_period=0.25, path=f"{__name__}:RollTo")
+    STRATEGIES["roll_to"] = StrategyEntry(f"{__name__}:RollTo")
     goal = Goal(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), Orientation.ANY)
     robot = RobotParameters()
     for strategy in ("roll_to", "time_optimal"):

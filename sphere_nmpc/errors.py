@@ -36,6 +36,10 @@ class InvalidInputError(InvalidValueError):
     """Rotor speeds that are not finite, or knots whose times do not increase."""
 
 
+class EndingError(SphereNmpcError):
+    """Error of a node's own work after which the node cannot go on: it ends, with the reason."""
+
+
 def reason_of(error: Exception) -> str:
     """Return the message of an error; that of another package has its type and is foreign."""
     if isinstance(error, SphereNmpcError):

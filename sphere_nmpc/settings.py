@@ -4,61 +4,37 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, TypeVar
+from typing import TypeVar
 
+from sphere_nmpc.entry_table import Entry, EntryTable
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP, TABLE_1_UNITS, RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
-ENTRY_POINTS = "sphere_nmpc.strategies"
-"""Group of the entry points by which installed packages bring strategies of their own."""
-_METHODS = "plan", "change", "reset"
-"""Methods that each strategy has."""
-
 
 @dataclass(frozen=True)
-class StrategyEntry:
+class StrategyEntry(Entry):
     """A strategy that can be chosen by name."""
 
-    sample_period: float
+    sample_period: float = 0.25
     """Spacing of the knots of the input that suits it [s; for the robot of Table 1]."""
-    path: str
-    """Where its class is, as ``module:Class``; imported when the strategy is first made. It takes
-    the settings of the controller and the parameters of the robot, and has the methods of
-    `sphere_nmpc.strategy.contract.Strategy`."""
-
-    def load(self) -> Any:
-        """Return the class; `InvalidParameterError` if there is none, or it lacks a method."""
-        try:
-            found = EntryPoint("", self.path, ENTRY_POINTS).load()
-        except Exception as error:  # of a module of somebody else
-            cause = f"{type(error).__name__}: {error}"
-            raise InvalidParameterError(
-                "strategy", self.path, f"a class that can be imported ({cause})"
-            ) from error
-        if missing := [name for name in _METHODS if not hasattr(found, name)]:
-            raise InvalidParameterError(
-                "strategy", self.path,
-                f"a class with {', '.join(_METHODS)} (it lacks {', '.join(missing)})",
-            )
-        return found
 
 
-_SAMPLE_PERIOD = 0.25
-"""Sample period of `time_optimal` and strategies of other packages [s; for Table 1's robot]."""
-STRATEGIES: dict[str, StrategyEntry] = {
-    own.name: StrategyEntry(_SAMPLE_PERIOD, own.value) for own in entry_points(group=ENTRY_POINTS)
-} | {
-    "time_optimal": StrategyEntry(
-        _SAMPLE_PERIOD, "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy"
-    ),
-    "plan_keeping": StrategyEntry(0.5, "sphere_nmpc.strategy.plan_keeping:PlanKeepingStrategy"),
-    "paper": StrategyEntry(0.5, "sphere_nmpc.strategy.paper:PaperStrategy"),
-}
-"""All strategies by name; an entry added here is a choice of the parameter ``strategy``. The names
-of this package cannot be taken by others."""
+STRATEGIES = EntryTable(
+    "strategy", "sphere_nmpc.strategies", "sphere_nmpc.strategy.contract:Strategy",
+    {
+        "time_optimal": StrategyEntry(
+            "sphere_nmpc.strategy.time_optimal.strategy:TimeOptimalStrategy"
+        ),
+        "plan_keeping": StrategyEntry(
+            "sphere_nmpc.strategy.plan_keeping:PlanKeepingStrategy", sample_period=0.5
+        ),
+        "paper": StrategyEntry("sphere_nmpc.strategy.paper:PaperStrategy", sample_period=0.5),
+    },
+    StrategyEntry,
+)
+"""All strategies by name, which are the choices of the parameter ``strategy``."""
 
 _SHORTEST = {"sample_period": 1e-2, "integration_step": 1e-3}
 """Least values of times that are given [s]."""

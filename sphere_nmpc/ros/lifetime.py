@@ -22,7 +22,7 @@ import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 
 from sphere_nmpc.child import END_SIGNALS, NICENESS
-from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.errors import EndingError, SphereNmpcError
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.network import network_reach
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
@@ -48,8 +48,8 @@ def run(make_node: Callable[[], GuardedNode], args: Sequence[str] | None, about:
 
     `make_node` is called with rclpy initialised, `args` are those after the program's name,
     `about` is what ``--help`` prints. Returns 0 after a signal; 2 for wrong arguments, parameters
-    or environment variables, 1 if the node cannot be made for another reason, which is printed in
-    one line.
+    or environment variables, 1 if the node cannot be made for another reason or its work raises
+    an `EndingError`; the reason is printed in one line.
     """
     given = list(sys.argv[1:] if args is None else args)
     try:
@@ -103,6 +103,9 @@ def _run_until_signal(make_node: Callable[[], GuardedNode]) -> int:
                             )
                     try:
                         node.work(executor)
+                    except EndingError as error:
+                        node.get_logger().fatal(one_line(error))
+                        return error.exit_code
                     except Exception as error:  # one line in the log, as one of its callbacks
                         node.report(FAILED, error)
                         time.sleep(_AFTER_FAILURE)

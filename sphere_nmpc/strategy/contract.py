@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
+from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError, reason_of
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -161,7 +162,16 @@ class SearchingStrategy(Protocol):
 def make_strategy(settings: ControllerSettings, robot: RobotParameters) -> Strategy:
     """Return a new strategy of the kind that is named in `settings`, which has checked the name.
 
-    `robot` has the parameters of the robot and the limits of its drives.
+    `robot` has the parameters of the robot and the limits of its drives. `InvalidParameterError`
+    is raised if the strategy cannot be loaded or made.
     """
-    strategy: Strategy = STRATEGIES[settings.strategy].load()(settings, robot)
+    kind = STRATEGIES.load(settings.strategy)
+    try:
+        strategy: Strategy = kind(settings, robot)
+    except (MemoryError, SphereNmpcError):
+        raise
+    except Exception as error:
+        raise InvalidParameterError(
+            "strategy", settings.strategy, f"one that can be made ({reason_of(error)})"
+        ) from error
     return strategy

@@ -14,7 +14,7 @@ from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.output.arguments import cluster_address, not_negative, number, positive, whole
 from sphere_sim.output.files import prepare_folder
-from sphere_sim.world.settings import PLANTS
+from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 if TYPE_CHECKING:
     from sphere_sim.scenario.perturbation import DisturbanceDraws
@@ -149,7 +149,9 @@ def _parser() -> argparse.ArgumentParser:
         "--strategy", nargs="+", action="extend", choices=STRATEGIES, metavar="NAME",
         help=f"one or several of {', '.join(STRATEGIES)}; several are compared",
     )
-    parser.add_argument("--plant", choices=PLANTS, help=f"plant of the runs ({PLANTS[0]})")
+    parser.add_argument(
+        "--plant", choices=PLANTS, help=f"plant of the runs ({SimulatorSettings.plant})"
+    )
     parser.add_argument(
         "--perturb", type=not_negative, default=0.0, metavar="PERCENT",
         help="largest error of the robot's parameters, whose nominal values the controller has",
@@ -215,7 +217,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
         help="one or several other settings, in any order, each once: controller.NAME, "
-        "simulator.NAME, robot.NAME, rigid_body.NAME, disturbances.NAME or floor.NAME, such as "
+        "simulator.NAME, robot.NAME, PLANT.NAME, disturbances.NAME or floor.NAME, such as "
         "controller.horizon=8; the prefix may be left out. msg_docs/parameters.md lists the "
         "names; one that no study reads is refused with those that it reads",
     )

@@ -3,7 +3,7 @@
 """Conditions of a study: all settings of a run except its scenario."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,8 +13,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.plant.contract import PlantSettings
+from sphere_sim.world.plant.factory import settings_class
+from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 _SCENARIO_SETTINGS = ("initial_state", "seed")
 OF_NODES = {"simulator": ("pose_rate", "command_timeout")}
@@ -40,7 +41,8 @@ class StudyConditions:
     controller: ControllerSettings = field(default_factory=ControllerSettings)
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
     robot: RobotParameters = field(default_factory=RobotParameters)
-    rigid_body: RigidBodySettings = field(default_factory=RigidBodySettings)
+    plants: Mapping[str, PlantSettings] = field(default_factory=dict, hash=False)
+    """Settings that plants have of their own, by plant; those of others are their defaults."""
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     floor: FloorSettings = field(default_factory=FloorSettings)
 
@@ -50,16 +52,20 @@ class StudyConditions:
 
     def contradiction(self) -> str | None:
         """Return in one line how limits contradict each other; None if they do not."""
-        if self.simulator.plant != "rigid_body":
-            return None
-        return self.rigid_body.contradiction(self.robot)
+        return self.of_plant.contradiction(self.robot)
+
+    @property
+    def of_plant(self) -> PlantSettings:
+        """Settings that the plant of the runs has of its own."""
+        name = self.simulator.plant
+        return self.plants.get(name) or settings_class(name)()
 
     def with_settings(self, assignments: Iterable[tuple[str, str]]) -> "StudyConditions":
         """Return the conditions with other values of some settings.
 
         Names and values are text, in any order. A name that occurs in only one of controller,
         simulator, robot, rigid_body, disturbances and floor needs no prefix such as in
-        ``controller.horizon``.
+        ``controller.horizon``; plants of other packages have their name as the prefix.
 
         `InvalidParameterError` is raised if there is no such setting or no study reads it, one is
         given twice, or the values are not in their ranges.
@@ -73,20 +79,22 @@ class StudyConditions:
                     f"{group}.{setting}", [texts[setting], text], "one value"
                 )
             texts[setting] = text
-        changed = {}
+        changed, plants = {}, dict(self.plants)
         for group, texts in given.items():
             known = _defaults(group)
             values = {name: _parse(name, text, known[name]) for name, text in texts.items()}
             # All at once, as some are valid only together.
-            changed[group] = dataclasses.replace(getattr(self, group), **values)
-        return dataclasses.replace(self, **changed)
+            if group in _GROUPS:
+                changed[group] = dataclasses.replace(getattr(self, group), **values)
+            else:
+                plants[group] = dataclasses.replace(plants.get(group) or _kind(group)(), **values)
+        return dataclasses.replace(self, plants=plants, **changed)
 
 
 _GROUPS: dict[str, Any] = {
     "controller": ControllerSettings,
     "simulator": SimulatorSettings,
     "robot": RobotParameters,
-    "rigid_body": RigidBodySettings,
     "disturbances": DisturbanceSettings,
     "floor": FloorSettings,
 }
@@ -95,9 +103,10 @@ _GROUPS: dict[str, Any] = {
 def _found(name: str, text: str) -> tuple[str, str]:
     """Return kind and name of a setting that a study reads."""
     prefix, _, setting = name.rpartition(".")
-    groups = [g for g in _GROUPS if prefix in ("", g) and setting in _defaults(g)]
+    known = [g for g in (*_GROUPS, *sorted({*PLANTS.own, prefix} & {*PLANTS})) if _defaults(g)]
+    groups = [g for g in known if prefix in ("", g) and setting in _defaults(g)]
     if not groups:
-        raise InvalidParameterError(name, text, f"a setting of {', '.join(_GROUPS)}")
+        raise InvalidParameterError(name, text, f"a setting of {', '.join(known)}")
     if setting in _SCENARIO_SETTINGS:
         raise InvalidParameterError(name, text, "to be left to the scenarios")
     for group in groups:
@@ -110,8 +119,13 @@ def _found(name: str, text: str) -> tuple[str, str]:
     )
 
 
+def _kind(group: str) -> Any:
+    """Return the class of a kind of settings: one of all runs, or of the plant of that name."""
+    return _GROUPS.get(group) or settings_class(group)
+
+
 def _defaults(group: str) -> dict[str, Any]:
-    return {name: getattr(_GROUPS[group], name) for name in quantities(_GROUPS[group])}
+    return {name: getattr(_kind(group), name) for name in quantities(_kind(group))}
 
 
 def _parse(name: str, text: str, default: Any) -> Any:

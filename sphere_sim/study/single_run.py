@@ -55,9 +55,9 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
     robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
     disturbances = replace(conditions.disturbances, **scenario.disturbances)
     # The limits of the drives are those of the nominal robot.
-    body = conditions.rigid_body.for_robot(conditions.robot)
+    own = conditions.of_plant.for_robot(conditions.robot)
     floor, walls = floor_of(conditions.floor, conditions.robot.shell_radius)
-    plant = make_plant(simulation.plant, robot, scenario.start, body, disturbances, walls)
+    plant = make_plant(simulation.plant, robot, scenario.start, own, disturbances, walls)
     controller = Controller(conditions.controller, conditions.robot)
     controller.floor = floor
     return Simulator(simulation, robot, plant), controller

@@ -100,12 +100,12 @@ class CommandFollower:
 
 def beyond(
     robot: RobotParameters, planned: Mapping[str, float], controller: str,
-    torque_limit: float = math.inf,
+    torque_limit: float = math.inf, plant: str = "",
 ) -> str:
     """Return in one line which limits of the robot plans exceed; empty if there are none.
 
     `planned` are the values of `PLANNED_LIMITS` in the node `controller`, `torque_limit` is the
-    largest torque of a drive [N m].
+    largest torque of a drive [N m] in the settings of the plant of that name.
     """
     speed, acceleration = planned["max_rotor_speed"], planned["max_rotor_acceleration"]
     torque, inertia = planned["max_rotor_torque"], planned["rotor_axial_inertia"]
@@ -117,7 +117,7 @@ def beyond(
         ("robot.max_rotor_acceleration", acceleration, robot.max_rotor_acceleration, "rad/s^2",
          "as in this node"),
         ("robot.max_rotor_acceleration", acceleration, attained, "rad/s^2",
-         f"for rigid_body.torque_limit = {torque_limit:g} N m"),
+         f"for {plant}.torque_limit = {torque_limit:g} N m"),
     )
     return "; ".join(
         f"{name}: given {wanted:g} {unit} in {controller}, expected at most {given:g} {unit}, "

@@ -1,13 +1,21 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the simulator."""
+"""Settings of the simulator, and the table of plants."""
 
 from dataclasses import dataclass
 
+from sphere_nmpc.entry_table import Entry, EntryTable
 from sphere_nmpc.quantity import quantity, validate
 
-PLANTS = ("rolling", "rigid_body")
-"""Plants that can be chosen by name."""
+PLANTS = EntryTable(
+    "plant", "sphere_nmpc.plants", "sphere_sim.world.plant.contract:Plant",
+    {
+        "rolling": Entry("sphere_sim.world.plant.rolling_plant:RollingPlant"),
+        "rigid_body": Entry("sphere_sim.world.plant.rigid_body.rigid_body_plant:RigidBodyPlant"),
+    },
+    Entry,
+)
+"""All plants by name, which are the choices of the parameter ``plant``."""
 
 
 @dataclass(frozen=True)
@@ -16,7 +24,7 @@ class SimulatorSettings:
 
     plant: str = quantity(
         "rolling", "-", "What is simulated: ideal rolling, or bodies with contact and drives",
-        choices=PLANTS,
+        choices=PLANTS.keys(),
     )
     initial_state: tuple[float, ...] = quantity(
         (2.0, -3.0, 0.03, 0.454, 0.88, 0.1363), "m, -",

@@ -11,7 +11,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSITION, QUATERNION, Vector, as_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.drives import CommandFollower
-from sphere_sim.world.plant.factory import Plant, make_plant
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings
 
 _LONGEST_STEP = 10_000_000

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from catalogue import FAULTS, HOSTILE, Fault, chosen, combined, fuzzed, name_of
-from node_session import RATE, Settings
+from node_session import RATE, SERVO_ERROR, Settings
 from trial import Outcome, run_trials
 
 from sphere_nmpc.errors import SphereNmpcError
@@ -35,7 +35,6 @@ from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.arguments import number, whole
 from sphere_sim.output.files import prepare_folder, write_atomically
 from sphere_sim.ros.session.domain import own_domain
-from sphere_sim.world.settings import PLANTS
 
 _PAIRS = 12
 _GROWTH = 1.5
@@ -181,7 +180,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                           help="simulated over wall time (default: %(default)g)")
     campaign.add_argument("--strategy", choices=sorted(STRATEGIES), default=common.strategy,
                           help="what the controller solves")
-    campaign.add_argument("--plant", choices=PLANTS, default=common.plant,
+    campaign.add_argument("--plant", choices=SERVO_ERROR, default=common.plant,
                           help="what the simulator simulates (default: %(default)s)")
     campaign.add_argument("--rate", type=number(RATE, 500.0), default=RATE, metavar="HZ",
                           help="rate of poses, commands and, above the default, solves (default: "

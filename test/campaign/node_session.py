@@ -39,7 +39,7 @@ READY = 300.0
 """Longest wait for an answer of a node [s, wall]; an idle machine needs two to start it."""
 RATE = 20.0
 """Rate of poses, clock and commands [Hz], low enough for the relay on a busy machine."""
-_SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
+SERVO_ERROR = {"rolling": 0.0, "rigid_body": 0.07}
 """By plant, see `LimitCheck` [rad/s]. A servo of bandwidth b follows a rotor whose axis
 accelerates by a with the error a / b. Rotors that ramp at 400 rad/s^2 accelerate the shell by
 10 rad/s^2 about their axes, in either direction: 2 * 10 / 300."""
@@ -94,7 +94,7 @@ class Session:
         start_ros([], quiet=True)
         self.folder, self.settings, self.everything = folder, settings, everything
         folder.mkdir(parents=True, exist_ok=True)
-        self.judge = Judge(_SERVO_ERROR[settings.plant])
+        self.judge = Judge(SERVO_ERROR[settings.plant])
         self.solver_file = folder.absolute() / "solver"
         control_rate = 0.0 if settings.rate == RATE else settings.rate
         nodes: dict[str, tuple[list[str], dict[str, object]]] = {

@@ -169,7 +169,7 @@ def test_wrong_change_is_refused_with_the_reason(controller, name, value, words)
 def test_change_to_a_strategy_that_cannot_be_loaded_leaves_the_one_in_force(
     controller, monkeypatch
 ) -> None:
-    monkeypatch.setitem(STRATEGIES, "lost", StrategyEntry(0.25, "nowhere:Strategy"))
+    monkeypatch.setitem(STRATEGIES, "lost", StrategyEntry("nowhere:Strategy"))
     result = controller.set_parameters([Parameter("strategy", value="lost")])[0]
     assert not result.successful and "No module named 'nowhere'" in result.reason
     assert controller.get_parameter("strategy").value == "time_optimal"

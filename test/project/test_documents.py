@@ -30,14 +30,17 @@ from launch_stand_in import LAUNCH, ROOT, started
 from parameter_tables import NODES, OF_ROBOT, PARTS
 
 from sphere_nmpc.conditions import Kind
+from sphere_nmpc.entry_table import Entry
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.settings import FrameSettings
+from sphere_nmpc.settings import STRATEGIES, StrategyEntry
 from sphere_sim.cli import benchmark, demo, report, study, viewer
 from sphere_sim.cli.main import VERBS
 from sphere_sim.ros.session import goal_command
 from sphere_sim.ros.simulator import robot_description
+from sphere_sim.world.settings import PLANTS
 
 MODULE = robot_description.__name__
 """Module that documents run by its name."""
@@ -287,7 +290,10 @@ def check(command: Command) -> None:
         check_assignment(first)
 
 
-def test_commands_in_documents_are_understood() -> None:
+def test_commands_in_documents_are_understood(monkeypatch) -> None:
+    # As with the package of the examples installed.
+    monkeypatch.setitem(STRATEGIES, "roll_to", StrategyEntry("own_strategy:RollTo"))
+    monkeypatch.setitem(PLANTS, "lagging", Entry("own_plant:Lagging"))
     wrong, found = [], all_commands()
     for command in found:
         try:

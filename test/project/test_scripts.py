@@ -23,6 +23,7 @@ from parameter_tables import NODES, OF_ROBOT, PARTS, outputs, parameters_yaml
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation import estimator
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import in_sight, route_to
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
@@ -30,6 +31,9 @@ from sphere_nmpc.quantity import quantities
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.walls import Walls
 
 BENCH = Path(__file__).parents[2] / "bench"
 
@@ -120,6 +124,35 @@ def test_example_arrives_and_prints_what_the_tutorial_says(name, arrival, number
     if name == "own_plant.py":
         learnt, true, told = map(float, re.findall(r"0\.01\d+", done.stdout.splitlines()[-1]))
         assert abs(learnt - true) < 0.1 * abs(told - true)
+
+
+def test_plant_of_the_example_moves_as_the_ideal_one_where_its_lag_is_short() -> None:
+    example = runpy.run_path(str(EXAMPLES / "own_plant.py"))
+    robot, start = RobotParameters(), example["START"]
+    lagging = example["Lagging"](
+        robot, start, DisturbanceSettings(), None, example["LaggingSettings"](lag=1e-3)
+    )
+    rolling = RollingPlant(robot, start)
+    for plant in (lagging, rolling):
+        plant.tilt(0.02, 0.5)
+        for k in range(100):
+            if k == 50:
+                plant.push((0.2, -0.1))
+            plant.advance(np.array([40.0, -60.0]) * min(1.0, (k + 1) / 20), 0.01)
+    # 1 ms at the speed of some 0.5 m/s and 2 rad/s, and midpoints.
+    for name, tolerance in (
+        ("state", 3e-3), ("momentum", 1e-3), ("velocity", 1e-2), ("body_rate", 2e-2),
+        ("rotor_angles", 0.1), ("rotor_speeds", 1e-6), ("rotor_torques", 1e-2),
+    ):
+        found, expected = getattr(lagging, name), getattr(rolling, name)
+        np.testing.assert_allclose(found, expected, atol=tolerance, err_msg=name)
+    assert np.linalg.norm(rolling.state - start) > 0.3
+    walls = Walls(Grid(np.zeros((20, 20), dtype=bool), 0.1, (start[0] - 1.0, start[1] - 1.0, 0.0)))
+    lagging.surround(walls)
+    for _ in range(600):
+        lagging.advance(np.array([40.0, -60.0]), 0.01)
+    clearance = lagging.contact.least_clearance(lagging.state[None, :2])
+    assert lagging.contact.touches == 1 and 0.0 <= clearance < 5e-3
 
 
 def test_robot_of_ones_own_is_the_same_in_both_nodes_and_has_to_go_around_the_table() -> None:

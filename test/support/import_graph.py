@@ -37,7 +37,7 @@ FLOORS = {
         ("floor",),
         ("solver", "settings"),
         ("model", "worker"),
-        ("quantity", "fault_log", "child", "foreign_file"),
+        ("quantity", "fault_log", "child", "foreign_file", "entry_table"),
         ("errors", "library_threads", "conditions"),
         ("foreign_text", "channel", "own_folder"),
     ),

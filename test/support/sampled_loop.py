@@ -28,7 +28,8 @@ from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.evaluation.metrics import state_errors, stay_below
 from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.factory import Plant, make_plant
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 

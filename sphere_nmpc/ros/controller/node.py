@@ -363,7 +363,7 @@ class ControllerNode(GuardedNode):
         for name in (p.value for p in parameters if p.name == "strategy"):
             if name in STRATEGIES:  # another name is refused by its declaration
                 try:
-                    STRATEGIES[name].load()
+                    STRATEGIES.load(name)
                 except InvalidParameterError as error:
                     return SetParametersResult(successful=False, reason=str(error))
                 reason = self._schedule.refusal(replace(self._settings, strategy=name))

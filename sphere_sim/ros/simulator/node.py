@@ -41,8 +41,8 @@ from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.drives import beyond
-from sphere_sim.world.plant.factory import make_plant
-from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.factory import make_plant, settings_class
+from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.simulator import Simulator
 from sphere_sim.world.walls import Walls, walls_of
 
@@ -80,7 +80,12 @@ class SimulatorNode(GuardedNode):
         declared = declare(SimulatorNodeSettings(), on_change=self._change)
         settings = self._settings = declared.settings
         robot = self._robot = declare(RobotParameters(), "robot").settings
-        body = self._body = declare(RigidBodySettings(), "rigid_body").settings
+        # Those of all plants of this package, as a file may have them for another choice.
+        own = {
+            name: declare(settings_class(name)(), name).settings
+            for name in sorted({*PLANTS.own, settings.plant})
+        }
+        self._own = own[settings.plant].for_robot(robot)
         disturbances = declare(DisturbanceSettings(), on_change=self._tilt).settings
         pushes = declare(PushSettings())
         self._scheduling = declare(SchedulingSettings())
@@ -95,7 +100,7 @@ class SimulatorNode(GuardedNode):
         )
         start = as_state(settings.initial_state)
         walls = self._floor_receiver.floor
-        plant = make_plant(settings.plant, robot, start, body, disturbances, walls)
+        plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
         self.simulator = Simulator(settings, robot, plant)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
@@ -324,14 +329,13 @@ class SimulatorNode(GuardedNode):
     def _contradictions(self) -> list[Condition]:
         """Return the faults of limits that contradict each other, here and in the controller."""
         faults, torque = [], math.inf
-        if self._settings.plant == "rigid_body":
-            own = self._body.contradiction(self._robot)
-            if own is not None:
-                faults.append(Condition(Kind.LIMITS, own))
-            else:
-                torque = self._body.for_robot(self._robot).torque_limit
+        own = self._own.contradiction(self._robot)
+        if own is not None:
+            faults.append(Condition(Kind.LIMITS, own))
+        else:
+            torque = self._own.torque_limit
         for controller, planned in self._controllers.limits.items():
-            line = beyond(self._robot, planned, controller, torque)
+            line = beyond(self._robot, planned, controller, torque, self._settings.plant)
             if line:
                 faults.append(Condition(Kind.LIMITS_OF, line, controller))
         return faults

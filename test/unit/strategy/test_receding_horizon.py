@@ -12,11 +12,10 @@ from motions import integrate
 from sampled_loop import settling_time
 from solver_problems import make_problem
 
-from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import exponential
 from sphere_nmpc.model.state import POSE, Vector, flipped_sign, make_state, without_momentum
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.solver.plain import expand
 from sphere_nmpc.solver.problem import LeastSquaresProblem, Solution, SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out
@@ -174,22 +173,6 @@ def test_changed_cap_on_iterations_and_weight_hold_from_the_next_plan_on(name: s
     assert made.plan(second).iterations == 1
     made.change(replace(settings, input_weight=1e6))
     assert np.max(np.abs(made.plan(second).hold.speeds[1:])) < 1.0
-
-
-@pytest.mark.parametrize(
-    ("path", "words"),
-    [
-        ("nowhere:Strategy", "imported (ModuleNotFoundError: No module named 'nowhere')"),
-        ("sphere_nmpc.settings:Missing", "imported (AttributeError: "),
-        ("no path", "imported ("),
-        ("sphere_nmpc.settings:StrategyEntry", "(it lacks plan, change, reset)"),
-        ("sphere_nmpc.settings", "(it lacks plan, change, reset)"),
-    ],
-)
-def test_strategy_that_is_none_is_named_with_what_is_missing(path: str, words: str) -> None:
-    with pytest.raises(InvalidParameterError, match="strategy: given '") as caught:
-        StrategyEntry(0.25, path).load()
-    assert words in str(caught.value)
 
 
 def turned(x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> Vector:

@@ -10,7 +10,8 @@ import pytest
 
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_sim.world.plant.factory import Plant, make_plant
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.walls import Contact, Walls, touchable_rectangles
 

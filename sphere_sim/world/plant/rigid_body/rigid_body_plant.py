@@ -12,6 +12,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.plant.contract import PlantError
 from sphere_sim.world.plant.rigid_body.mjcf import make_floor, make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.walls import Contact, Walls
@@ -30,7 +31,7 @@ class MissingEngineError(SphereNmpcError, ImportError):
         )
 
 
-class PlantDivergedError(SphereNmpcError, RuntimeError):
+class PlantDivergedError(PlantError, RuntimeError):
     """The state of a simulated plant is not finite: its longest step [s] is too long."""
 
     def __init__(self, time_step: float) -> None:
@@ -46,6 +47,8 @@ class RigidBodyPlant:
     The world frame is that of the floor: x and y are coordinates in it, also on a slope.
     `InvalidParameterError` is raised if the robot cannot be built of rigid bodies.
     """
+
+    Settings = RigidBodySettings
 
     def __init__(
         self, robot: RobotParameters, state: Vector, settings: RigidBodySettings | None = None,

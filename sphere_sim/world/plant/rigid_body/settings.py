@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity, validate
+from sphere_sim.world.plant.contract import PlantSettings
 from sphere_sim.world.plant.rolling_plant import step_scale, time_scale
 
 _BANDWIDTH = 300.0  # [rad/s]
@@ -17,7 +18,7 @@ _SHORTEST_STEP = 1e-5  # [s]
 
 
 @dataclass(frozen=True)
-class RigidBodySettings:
+class RigidBodySettings(PlantSettings):
     """Effects that the ideal plant does not have; docs/rigid_body.md explains the defaults.
 
     Where 0 is the robot's own value, `for_robot` derives it.

@@ -19,7 +19,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check walk faults venv homes clean
+.PHONY: help demo test test-fast check walk faults venv homes newest wheels clean
 
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -49,8 +49,15 @@ venv: $(VENV)/.stamp  ## Install the package and everything it can use into .ven
 homes:  ## Install from scratch with pip and colcon, and test that (HOMES="python3.10 python3.13")
 	.ci/homes .venv-homes $(HOMES)
 
+newest:  ## Test with the newest version of each dependency
+	NEWEST=1 .ci/homes .venv-newest $(HOMES)
+
+wheels:  ## Build and check wheels and source distribution in dist/ (HOMES="python3.10 python3.13")
+	.ci/wheels .venv-wheels $(HOMES)
+	mkdir -p dist && cp .venv-wheels/dist/* dist
+
 clean:  ## Remove the virtual environments and all that was built
-	rm -rf $(VENV) $(COLCON_VENV) .venv-homes build dist install log *.egg-info
+	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels build dist install log *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache sphere_nmpc/solver/native/*.so
 
 # Where standard output is a terminal pip shows its progress, elsewhere a log would be full of it.

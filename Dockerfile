@@ -10,8 +10,8 @@ COPY package.xml src/sphere_nmpc/
 # hadolint ignore=DL3008
 RUN echo 'APT::Install-Recommends "false";' > /etc/apt/apt.conf.d/00recommends \
     && apt-get update \
-    && rosdep install --from-paths src --ignore-src -y --dependency-types exec --skip-keys \
-        "build-essential casadi-pip mcap-ros2-support python3-mujoco-pip python3-rosbags-pip" \
+    && rosdep install --from-paths src --ignore-src -y --dependency-types exec \
+        --skip-keys "mcap-ros2-support python3-mujoco-pip python3-rosbags-pip" \
     && apt-get install -y --no-install-recommends python3-venv \
     && rm -rf /var/lib/apt/lists/*
 
@@ -19,9 +19,7 @@ FROM dependencies AS build
 # ROS messages of apt are compiled for Ubuntu's NumPy, which pip must not replace.
 RUN echo "numpy<2" > constraints.txt
 ENV PIP_CONSTRAINT=/opt/sphere/constraints.txt
-# Only what the build needs, so that a change of the sources does not install it again.
-RUN --mount=type=cache,target=/root/.cache/pip python3 -m venv --system-site-packages venv \
-    && venv/bin/pip install "casadi>=3.6.7,<4"
+RUN python3 -m venv --system-site-packages venv
 COPY . src/sphere_nmpc
 # colcon writes the interpreter that runs it into the scripts.
 RUN --mount=type=cache,target=/root/.cache/pip . /opt/ros/jazzy/setup.sh \

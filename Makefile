@@ -19,7 +19,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check walk faults venv homes newest wheels clean
+.PHONY: help demo test test-fast check walk faults venv homes newest wheels docs clean
 
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -56,8 +56,13 @@ wheels:  ## Build and check wheels and source distribution in dist/ (HOMES="pyth
 	.ci/wheels .venv-wheels $(HOMES)
 	mkdir -p dist && cp .venv-wheels/dist/* dist
 
+docs:  ## Build the documents as pages in build/pages; a broken link is an error
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --no-deps -r requirements/docs.txt
+	.venv-docs/bin/sphinx-build -W --keep-going -c docs . build/pages
+
 clean:  ## Remove the virtual environments and all that was built
-	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels build dist install log *.egg-info
+	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels .venv-docs .pixi build dist install log *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache sphere_nmpc/solver/native/*.so
 
 # Where standard output is a terminal pip shows its progress, elsewhere a log would be full of it.

@@ -127,7 +127,10 @@ def actions(context: LaunchContext) -> list:
     clock = {"use_sim_time": follows_clock(value["clock"], value["use_sim_time"])}
     frame = {"world_frame": value["world_frame"]}
     simulator = {"clock": value["clock"], **frame, **prefix}
-    simulator |= {name: value[name] for name in ("plant", "real_time_factor") if value[name]}
+    if plant := value["plant"]:
+        simulator["plant"] = plant
+    if factor := value["real_time_factor"]:
+        simulator["real_time_factor"] = number(factor)
     if start := value["initial_state"]:
         simulator["initial_state"] = initial_state(start)
     following = {**clock, **frame}
@@ -259,6 +262,14 @@ def follows_clock(clock: str, given: str) -> bool:
         expected = "false with clock:=system, where no node publishes a clock"
         raise RuntimeError(f"use_sim_time: given {given}, expected {expected}")
     return given in TRUE if given else clock == "simulated"
+
+
+def number(text: str) -> float | str:
+    """Return a number, as launch_ros keeps text as text; what is none the node refuses."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def initial_state(text: str) -> list[float]:

@@ -156,7 +156,7 @@ class Study:
         return rows, angles
 
     def section(self, title: str, variants: dict[str, Variant]) -> str:
-        return "\n".join([f"### {title}\n", HEADER, *self.table(variants)[0], ""])
+        return "\n".join([f"## {title}\n", HEADER, *self.table(variants)[0], ""])
 
     def drives(self) -> str:
         return self.section("Drives", {
@@ -185,7 +185,7 @@ class Study:
             every += rows
             plot(self.axes[0], TIME_CONSTANTS, angles, f"impedance {impedance:g}")
         finish(self.axes[0], "contact time constant [ms], time step 1 ms")
-        title = "### Contact stiffness (ideal drives, time step 1 ms)\n"
+        title = "## Contact stiffness (ideal drives, time step 1 ms)\n"
         return "\n".join([title, HEADER, *every, ""])
 
     def time_step(self) -> str:
@@ -203,12 +203,12 @@ class Study:
             every += rows
             plot(self.axes[1], TIME_STEPS, angles, label)
         finish(self.axes[1], "time step [ms]")
-        return "\n".join(["### Time step (ideal drives)\n", HEADER, *every, ""])
+        return "\n".join(["## Time step (ideal drives)\n", HEADER, *every, ""])
 
     def erratum(self) -> str:
         rigid = [run(RigidBodyPlant(ROBOT, s.start, IDEAL), s.speeds) for s in self.sequences]
         lines = [
-            "### Eq. (12) against the plant with contact (ideal drives)\n",
+            "## Eq. (12) against the plant with contact (ideal drives)\n",
             header("model", "position, median [mm]", "worst", "angle, median [mrad]", "worst"),
         ]
         times = np.arange(1, rigid[0].shape[0] + 1) * 0.01
@@ -239,7 +239,7 @@ class Study:
 
     def torque(self) -> str:
         lines = [
-            "### Rotor torque, Eqs. (44) to (46), predicted less measured\n",
+            "## Rotor torque, Eqs. (44) to (46), predicted less measured\n",
             header("drives", "rms [N m]", "99 %", "worst", "worst, 30 ms after a knot left out",
                    "largest measured [N m]", "Eq. (46) over an interval, worst"),
         ]
@@ -299,7 +299,7 @@ class Study:
             turned.append(angle_error(*ends))
         spread = np.abs(np.array(momenta) - [0.0, ROBOT.shell_radius, 0.0]).max()
         return "\n".join([
-            "### A push of 1 N s along x (default settings)\n",
+            "## A push of 1 N s along x (default settings)\n",
             f"- At rest, rotors held: {start_velocity:.4f} m/s at first, slips for "
             f"{1e3 * slipped:.0f} ms, rolls on at {at_roll:.4f} m/s; after 5 s it is at "
             f"x = {rest.state[0]:.3f} m and rolls at {rest.velocity[0]:.4f} m/s.",
@@ -320,7 +320,7 @@ class Study:
         gain = ROBOT.total_mass * GRAVITY * math.sin(math.radians(1.0)) * ROBOT.shell_radius
         full = ROBOT.rotor_axial_inertia * ROBOT.max_rotor_speed
         return (
-            "### A slope of 1 degree (default settings)\n\n"
+            "## A slope of 1 degree (default settings)\n\n"
             f"- Rotors held: after 5 s {plant.state[0]:.3f} m downhill at "
             f"{plant.velocity[0]:.3f} m/s.\n"
             f"- Gravity adds {gain:.3f} N m s of angular momentum each second; a rotor stores "
@@ -359,6 +359,7 @@ def main() -> None:
     given = parser.parse_args()
     study = Study(given.sequences, given.seed)
     parts = [
+        "# Figures of the plant with contact\n",
         f"Written by bench/documents/compare_plants.py: {given.sequences} sequences of 5 s, "
         f"seed {given.seed}.\n",
         study.drives(), study.stiffness(), study.time_step(),

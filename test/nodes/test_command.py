@@ -198,7 +198,7 @@ def test_output_that_is_lost_does_not_stop_the_work(roll, tmp_path, disk, code, 
     ("absent", "words"),
     [("rclpy.node", "'rclpy' is not installed; it comes with pip install 'sphere_nmpc[ros]'"),
      ("geometry_msgs.msg", "'geometry_msgs' is not installed; it comes with pip install 'sphere_"),
-     ("casadi", "'casadi' is not installed; it comes with pip install sphere_nmpc"),
+     ("casadi", "'casadi' is not installed; it comes with pip install 'sphere_nmpc[benchmark]'"),
      ("scipy.no_such_module", "unexpected ModuleNotFoundError: ")],
 )
 def test_missing_package_is_named_with_its_source(absent, words, monkeypatch) -> None:

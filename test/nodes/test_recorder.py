@@ -127,12 +127,12 @@ def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
 
 def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path) -> None:
     bag = tmp_path / "bag"
-    topics = ["pose", "controller/*"]
+    topics = ["pose", "aside/*"]
     other = graph.publisher_apart(PoseWithCovarianceStamped, "pose", LATCHED)
-    first = graph.probe.create_publisher(String, "controller/any", 10)
+    first = graph.probe.create_publisher(String, "aside/any", 10)
     node = graph.start(RecorderNode, output=str(bag), topics=topics)
     graph.until(lambda: first.get_subscription_count() and node.count_publishers("/pose") == 1)
-    second = graph.publisher_apart(PoseStamped, "controller/any")
+    second = graph.publisher_apart(PoseStamped, "aside/any")
     known = graph.probe.create_publisher(PoseStamped, "pose", 10)
     graph.until(lambda: len(node._monitor.faults) == 2)
 
@@ -140,23 +140,23 @@ def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path)
         for sender in (other, first, second, known):
             sender.publish(sender.msg_type())
         node._record_arrived()
-        return {"/pose", "/controller/any"} <= node._session.received
+        return {"/pose", "/aside/any"} <= node._session.received
 
     graph.until(all_recorded)
     # The publisher of the first type ends, that of another one stays.
     graph.probe.destroy_publisher(first)
-    graph.until(lambda: node.count_publishers("/controller/any") == 1)
+    graph.until(lambda: node.count_publishers("/aside/any") == 1)
     graph.spin_for(0.5)
     second.publish(PoseStamped())
     node.finish()
-    assert set(counted(bag)) == {"/pose", "/controller/any"}
+    assert set(counted(bag)) == {"/pose", "/aside/any"}
     with Reader(bag) as reader:
         types = {it.topic: it.msgtype for it in reader.connections}
     assert types == {
-        "/pose": "geometry_msgs/msg/PoseStamped", "/controller/any": "std_msgs/msg/String",
+        "/pose": "geometry_msgs/msg/PoseStamped", "/aside/any": "std_msgs/msg/String",
     }
     assert sorted(fault.name for fault in node._monitor.faults) == [
-        "other type on /controller/any", "other type on /pose",
+        "other type on /aside/any", "other type on /pose",
     ]
 
 

@@ -93,7 +93,7 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="goal",
+        prog="sphere_nmpc goal",
         description="Send a goal to the controller once it is ready. Exits 0 when the controller "
         "has accepted it, with --wait when the sphere has arrived, 1 when not, 2 when the "
         "arguments are wrong.",

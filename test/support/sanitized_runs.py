@@ -24,6 +24,7 @@ from sphere_nmpc.solver.problem import MinimumTimeProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 from sphere_nmpc.solver.solve import solve
 
+SOURCES = Path(__file__).parents[2] / "sphere_nmpc" / "solver" / "native"
 HORIZONS = (1, 2, 3, 4, 12)
 KINDS = {
     "terminal": {}, "moving and stages": {}, "acceleration": {},
@@ -91,7 +92,7 @@ def write_sources(folder: Path) -> None:
     """
     sources = {
         path.name: path.read_text(encoding="utf-8")
-        for pattern in ("*.[ch]", "*.inc") for path in library.FOLDER.glob(pattern)
+        for pattern in ("*.[ch]", "*.inc") for path in SOURCES.glob(pattern)
     }
     file, right, wrong = FAULTY
     assert right in sources[file]

@@ -70,6 +70,27 @@ def test_without_a_solver_and_casadi_a_controller_is_refused_with_the_cure():
     assert "needs CasADi: install" in done.stdout and not done.stderr, done.stderr
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
+def test_every_processor_has_the_same_solutions(tmp_path):
+    """Those of this processor's library are the ones of the library that needs no extensions.
+
+    Some searches that end early amplify rounding; `replay.c` says how many may differ.
+    """
+    assert compiled()
+    native = Path(__file__).parents[2] / "native"
+    solves, replay = tmp_path / "solves", tmp_path / "replay"
+    commands = (
+        [sys.executable, native / "recorded_solves.py", solves],
+        ["cc", "-O1", "-std=gnu11", "-I", sanitized_runs.SOURCES, native / "replay.c", "-o",
+         replay, "-ldl", "-lm"],
+        [replay, library.FOLDER / "solver.so", solves, "1e-9"],
+    )
+    for command in commands:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
 RUNS = Path(sanitized_runs.__file__)
 OPTIONS = (
     "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all -g -O0 -std=gnu11 "

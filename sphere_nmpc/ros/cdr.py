@@ -310,8 +310,10 @@ def trajectory_message(hold: FirstOrderHold, angles: Vector, epoch: int = 0) -> 
     points = np.zeros(hold.times.size, _POINT)
     points["positions"] = points["velocities"] = len(JOINT_NAMES)
     speeds = points["speeds"] = hold.speeds
-    turned = 0.5 * np.diff(hold.times)[:, None] * (speeds[1:] + speeds[:-1])
-    points["angles"] = np.cumsum(np.vstack((angles, turned)), axis=0)
+    turned = points["angles"]
+    turned[0] = angles
+    turned[1:] = 0.5 * (hold.times[1:] - hold.times[:-1])[:, None] * (speeds[1:] + speeds[:-1])
+    turned.cumsum(axis=0, out=turned)
     points["seconds"], points["nanoseconds"] = np.divmod(after, NANOSECONDS)
     count = _LENGTH.pack(hold.times.size)
     return b"".join((clock_message(start), _JOINTS, count, points.tobytes()))

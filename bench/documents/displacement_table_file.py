@@ -5,10 +5,11 @@
     python bench/documents/displacement_table_file.py
 """
 
+import zipfile
 
 import numpy as np
 from displacement import DisplacementSteps
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from orientation_grid import OrientationGrid
 
 from sphere_nmpc.model.parameters import RobotParameters
@@ -40,6 +41,14 @@ def computed(grid: OrientationGrid, horizon: float) -> tuple[Vector, Vector, NDA
     return times, at_cap, stored
 
 
+def write(**arrays: ArrayLike) -> None:
+    """Write the file, better compressed than NumPy does."""
+    with zipfile.ZipFile(FILE, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as file:
+        for name, array in arrays.items():
+            with file.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array(member, np.asarray(array))
+
+
 def main() -> None:
     """Write the file."""
     robot = RobotParameters().lumped
@@ -47,9 +56,9 @@ def main() -> None:
     times, at_cap, stored = computed(OrientationGrid(_SIZE, *ratios), _HORIZON)
     changes = np.diff(stored, axis=0, prepend=np.int16(0))
     assert np.max(np.abs(changes)) <= np.iinfo(np.int8).max
-    np.savez_compressed(
-        FILE, ratios=ratios, times=times, at_cap=at_cap, changes=changes.astype(np.int8)
-    )
+    # From angle to angle, modulo 256: with that the file is an eighth smaller.
+    slopes = np.diff(changes.astype(np.int8), axis=3, prepend=np.int8(0))
+    write(ratios=ratios, times=times, at_cap=at_cap, slopes=slopes)
 
 
 if __name__ == "__main__":

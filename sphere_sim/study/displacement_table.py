@@ -123,7 +123,11 @@ def displacement_table(constants: LumpedConstants) -> DisplacementTable | None:
 
 @functools.cache
 def _table() -> tuple[Vector, DisplacementTable]:
-    """Return the ratios and the table of the file, which has the changes from time to time."""
+    """Return the ratios and the table of the file.
+
+    It has the changes from time to time, and of these, modulo 256, the ones from angle to angle.
+    """
     with np.load(FILE, allow_pickle=False) as file:
-        stored = np.cumsum(file["changes"], axis=0, dtype=np.int16)
+        changes = np.cumsum(file["slopes"], axis=3, dtype=np.int8)
+        stored = np.cumsum(changes, axis=0, dtype=np.int16)
         return file["ratios"], DisplacementTable(file["times"], file["at_cap"], stored)

@@ -12,12 +12,12 @@ from sphere_nmpc.foreign_text import printable_line
 EXTRAS = {
     "ros": ("rclpy", "ament_index_python", "builtin_interfaces", "rcl_interfaces", "std_srvs"),
     "record": ("rosbags", "mcap", "mcap_ros2", "ruamel", "zstandard"),
-    "sim": ("rich", "matplotlib"),
+    "sim": ("rich", "matplotlib", "scipy"),
     "study": ("dask", "distributed"),
     "rigid": ("mujoco",),
     "viewer": ("viser",),
     "report": ("pyarrow",),
-    "benchmark": ("casadi", "scipy"),
+    "benchmark": ("casadi",),
 }
 
 _log = logging.getLogger("sphere_nmpc")

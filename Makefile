@@ -7,6 +7,7 @@ ARGS ?=
 HOMES ?= $(PYTHON)
 VENV := .venv
 COLCON_VENV := .venv-colcon
+DOCS_VENV := .venv-docs
 # Tests of running nodes mostly wait, hence more processes than a small machine has cores. Tests of
 # one file share the nodes that they have started.
 SPREAD := --numprocesses 3 --dist loadfile --no-loadscope-reorder
@@ -59,13 +60,11 @@ wheels:  ## Build and check wheels and source distribution in dist/ (HOMES="pyth
 	.ci/wheels .venv-wheels $(HOMES)
 	mkdir -p dist && cp .venv-wheels/dist/* dist
 
-docs:  ## Build the documents as pages in build/pages; a broken link is an error
-	$(PYTHON) -m venv .venv-docs
-	.venv-docs/bin/python -m pip install --quiet --no-deps -r requirements/docs.txt
-	.venv-docs/bin/sphinx-build -W --keep-going -c docs . build/pages
+docs: $(DOCS_VENV)/.stamp  ## Build the documents as pages in build/pages; a broken link is an error
+	$(DOCS_VENV)/bin/sphinx-build -W --keep-going -c docs . build/pages
 
 clean:  ## Remove the virtual environments and all that was built
-	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels .venv-docs .pixi build dist install log *.egg-info
+	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels $(DOCS_VENV) .pixi build dist install log *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache sphere_nmpc/solver/native/*.so
 
 # Where standard output is a terminal pip shows its progress, elsewhere a log would be full of it.
@@ -95,4 +94,9 @@ $(COLCON_VENV)/.stamp: requirements/colcon.txt
 	$(new_venv)
 	@echo "$(@D): colcon and what its builds need, for tests, once: 0.4 GB on disk, half a minute"
 	$(PIP) --use-pep517 -r requirements/colcon.txt
+	@touch $@
+
+$(DOCS_VENV)/.stamp: requirements/docs.txt
+	$(new_venv)
+	$(PIP) -r requirements/docs.txt
 	@touch $@

@@ -18,11 +18,6 @@ from xml.etree import ElementTree
 from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 
-try:
-    from setuptools.command.bdist_wheel import bdist_wheel
-except ImportError:  # setuptools before 70.1: colcon on Ubuntu 24.04, which builds no wheels
-    bdist_wheel = object
-
 ROOT = Path(__file__).resolve().parent
 """The source tree; `colcon build --symlink-install` works in a folder of links."""
 PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
@@ -119,20 +114,27 @@ class BuildSolver(build_ext):
         os.replace(fresh, outfile)
 
 
-class Wheel(bdist_wheel):
-    """Wheel for every Python 3 of a platform: the libraries do not use Python's interface."""
+COMMANDS = {"build_ext": BuildSolver}
+try:
+    from setuptools.command.bdist_wheel import bdist_wheel
+except ImportError:
+    pass  # setuptools before 70.1: colcon on Ubuntu 24.04, which builds no wheels
+else:
 
-    def get_tag(self) -> tuple[str, str, str]:
-        """Return the tags of Python, its binary interface and the platform."""
-        return "py3", "none", super().get_tag()[2]
+    class Wheel(bdist_wheel):
+        """Wheel for every Python 3 of a platform: the libraries do not use Python's interface."""
 
+        def get_tag(self) -> tuple[str, str, str]:
+            """Return the tags of Python, its binary interface and the platform."""
+            return "py3", "none", super().get_tag()[2]
 
-COMMANDS = {} if bdist_wheel is object else {"bdist_wheel": Wheel}
+    COMMANDS["bdist_wheel"] = Wheel
+
 # Not in the source tree: two installations from one tree may run at once.
 build_folder = tempfile.TemporaryDirectory()
 setup(
     options={"build": {"build_base": build_folder.name}},
-    cmdclass={"build_ext": BuildSolver, **COMMANDS},
+    cmdclass=COMMANDS,
     ext_modules=[] if IS_PLAIN else [
         Extension(
             f"sphere_nmpc.solver.native.solver{level}", [SOURCE], extra_compile_args=flags,
@@ -146,7 +148,7 @@ setup(
     description=PACKAGE.findtext("description"),
     long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
-    author=", ".join(person.text for person in MAINTAINERS),
+    author=PACKAGE.findtext("author"),
     maintainer=", ".join(person.text for person in MAINTAINERS),
     maintainer_email=", ".join(person.attrib["email"] for person in MAINTAINERS),
     url=PACKAGE.findtext("url[@type='website']"),

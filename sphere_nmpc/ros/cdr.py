@@ -310,10 +310,10 @@ def trajectory_message(hold: FirstOrderHold, angles: Vector, epoch: int = 0) -> 
     points = np.zeros(hold.times.size, _POINT)
     points["positions"] = points["velocities"] = len(JOINT_NAMES)
     speeds = points["speeds"] = hold.speeds
-    turned = points["angles"]
-    turned[0] = angles
-    turned[1:] = 0.5 * (hold.times[1:] - hold.times[:-1])[:, None] * (speeds[1:] + speeds[:-1])
-    turned.cumsum(axis=0, out=turned)
+    reached = points["angles"]
+    reached[0] = angles
+    reached[1:] = 0.5 * (hold.times[1:] - hold.times[:-1])[:, None] * (speeds[1:] + speeds[:-1])
+    reached.cumsum(axis=0, out=reached)
     points["seconds"], points["nanoseconds"] = np.divmod(after, NANOSECONDS)
     count = _LENGTH.pack(hold.times.size)
     return b"".join((clock_message(start), _JOINTS, count, points.tobytes()))

@@ -1,0 +1,76 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Inertial measurement unit in the shell: where it is mounted, and the sizes of its errors."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import quantity, validate
+
+
+@dataclass(frozen=True)
+class ImuSettings:
+    """Mounting and errors of an IMU; the defaults are those of a MEMS device.
+
+    A reading is the angular velocity [rad/s] and the specific force [m/s^2], which at rest is
+    opposite to gravity, both in the axes of the sensor. A bias and a scale differ by axis and are
+    drawn with these standard deviations; the gyro's bias then walks.
+    """
+
+    position: tuple[float, ...] = quantity(
+        (0.0, 0.0, 0.0), "m", "Place of the IMU in the shell: x, y, z in the body frame",
+        minimum=-10.0, maximum=10.0,
+    )
+    orientation: tuple[float, ...] = quantity(
+        (1.0, 0.0, 0.0, 0.0), "-",
+        "Quaternion w, x, y, z that takes vectors in the axes of the IMU to the body frame",
+        minimum=-1.0, maximum=1.0,
+    )
+    gyro_noise: float = quantity(
+        1.2e-4, "rad/s/sqrt(Hz)", "Noise density of the gyro; 1.2e-4 is 0.007 deg/s/sqrt(Hz)",
+        minimum=0.0, maximum=1.0,
+    )
+    gyro_bias: float = quantity(
+        9e-3, "rad/s", "Standard deviation of the gyro's bias when it is switched on",
+        minimum=0.0, maximum=1.0,
+    )
+    gyro_bias_walk: float = quantity(
+        3.5e-5, "rad/s/sqrt(s)", "Random walk of the gyro's bias", minimum=0.0, maximum=1.0
+    )
+    gyro_scale: float = quantity(
+        3e-3, "-", "Standard deviation of the gyro's scale around 1", minimum=0.0, maximum=0.5
+    )
+    gyro_range: float = quantity(
+        17.5, "rad/s", "Largest angular velocity about an axis; beyond it the gyro is saturated",
+        minimum=0.1, maximum=1e3,
+    )
+    accelerometer_noise: float = quantity(
+        3e-3, "m/s^2/sqrt(Hz)", "Noise density of the accelerometer; 3e-3 is 0.3 mg/sqrt(Hz)",
+        minimum=0.0, maximum=10.0,
+    )
+    accelerometer_bias: float = quantity(
+        0.15, "m/s^2", "Standard deviation of the accelerometer's bias; 0.15 is 15 mg",
+        minimum=0.0, maximum=10.0,
+    )
+    accelerometer_range: float = quantity(
+        39.0, "m/s^2", "Largest specific force along an axis", minimum=1.0, maximum=1e4
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        norm = math.hypot(*self.orientation)
+        if abs(norm - 1.0) > rotation.NORM_TOLERANCE:
+            raise InvalidParameterError(
+                "orientation", self.orientation, "a unit quaternion w, x, y, z"
+            )
+
+    @property
+    def turn(self) -> Vector:
+        """Matrix that takes vectors in the axes of the IMU to the body frame, shape (3, 3)."""
+        quaternion = np.array(self.orientation)
+        return rotation.matrix(quaternion / np.linalg.norm(quaternion))

@@ -1,0 +1,44 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the odometry: where it begins, and what is known of robot and fixes."""
+
+from dataclasses import dataclass
+
+from sphere_nmpc.quantity import quantity, validate
+
+
+@dataclass(frozen=True)
+class OdometrySettings:
+    """Start of the odometry, uncertainty of the robot's parameters, and use of fixes."""
+
+    initial_state: tuple[float, ...] = quantity(
+        (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), "m, -",
+        "Pose at the start: x, y, then the quaternion w, x, y, z; a tilt that gravity contradicts "
+        "is replaced by the measured one",
+        minimum=-1e6, maximum=1e6,
+    )
+    position_deviation: float = quantity(
+        1e-3, "m", "Standard deviation of a given position whose covariance is unknown",
+        minimum=0.0, maximum=1e3,
+    )
+    orientation_deviation: float = quantity(
+        5e-3, "rad", "Standard deviation of a given orientation whose covariance is unknown",
+        minimum=0.0, maximum=3.2,
+    )
+    calibration_time: float = quantity(
+        2.0, "s", "Time at rest in which biases are estimated before the first pose is published",
+        minimum=0.0, maximum=600.0,
+    )
+    radius_deviation: float = quantity(
+        3e-3, "-", "Relative standard deviation of the shell's radius", minimum=0.0, maximum=0.3
+    )
+    constants_deviation: float = quantity(
+        1e-2, "-", "Relative standard deviation of the constants of masses and inertias",
+        minimum=0.0, maximum=0.3,
+    )
+    fix_memory: float = quantity(
+        1.0, "s", "Age up to which a pose_fix is used", minimum=0.0, maximum=60.0
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)

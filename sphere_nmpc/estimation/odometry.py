@@ -42,6 +42,8 @@ from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 
 _LEAST_DEVIATION = 1e-6
 """Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
+_SIGNIFICANT = 4.0
+"""Standard deviations [-] that the mean rate at rest may be from the bias of the gyro."""
 _CONTRADICTED = 6.0
 """Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
 
@@ -134,6 +136,8 @@ class Odometry:
         self._head: Vector = self._given.pose
         self._rate = np.zeros(3)
         self._was_still = False
+        self._quiet: deque[tuple[float, Vector]] = deque()
+        self._turned_at_rest = False
         self._still_since = math.nan
         self.is_calibrated = False
 
@@ -441,22 +445,34 @@ class Odometry:
         return samples._replace(speeds=found[1:-1], bend=bend)
 
     def _is_still(self, belief: Belief, samples: Samples) -> bool:
-        """Return whether rotors and shell are at rest."""
-        speeds = samples.speeds
-        if speeds is None or not samples.usable:
-            return False
+        """Return whether rotors and shell are at rest.
+
+        With the rotors at rest the shell may still turn slowly, by a momentum. That shows in the
+        mean over a while, and once it has, a whole such while without it is needed.
+        """
+        speeds, numbers = samples.speeds, self._numbers
         gain = self._robot.lumped.input_gain
-        if gain * float(np.max(np.abs(speeds))) > self._numbers.still:
+        is_quiet = speeds is not None and samples.usable
+        if speeds is None or not is_quiet or gain * float(np.max(np.abs(speeds))) > numbers.still:
+            self._quiet.clear()
+            self._turned_at_rest = False
             return False
-        rates = self._filter.body_rates(belief, np.array(samples.rates))
+        rates = np.array(samples.rates)
         duration = samples.times[-1] - samples.times[0]
-        step = duration / (len(samples.times) - 1)
-        mean = rates.mean(axis=0)
-        if not all(self._is_slow(rate - mean, step) for rate in rates):
-            return False
+        self._quiet.append((duration, duration * 0.5 * (rates[:-1] + rates[1:]).mean(axis=0)))
+        while sum(one for one, _ in self._quiet) > numbers.rest * (1.0 + 1e-6):
+            self._quiet.popleft()
+        whole = sum(one for one, _ in self._quiet)
+        mean = np.sum([turned for _, turned in self._quiet], axis=0) / whole
+        rate = self._filter.body_rates(belief, mean[None])[0]
         spread = np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS])
-        spread += 3.0 * self._imu.gyro_noise**2 / duration
-        return float(mean @ mean) < _CONTRADICTED**2 * float(spread)
+        spread += 3.0 * self._imu.gyro_noise**2 / whole
+        if float(rate @ rate) > _SIGNIFICANT**2 * float(spread):
+            self._turned_at_rest = True
+            self._quiet.clear()
+        elif whole > numbers.rest - duration:
+            self._turned_at_rest = False
+        return not self._turned_at_rest
 
     def _calibrate(self, samples: Samples, belief: Belief) -> None:
         """Note that the sphere rests, and for how long."""

@@ -55,8 +55,10 @@ class OdometryNumbers(EstimatorSettings):
     """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
     model_share: float = 1e-3
     """Standard deviation of it over the angular velocity [-]."""
-    still: float = 2e-3
+    still: float = 2e-4
     """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
+    rest: float = 1.0
+    """Time over which the gyro is averaged to tell rest from slow turning [s]."""
     forgotten: float = 0.7
     """Share of a change of velocity that was not explained which counts in the next interval."""
     lift: float = 0.1

@@ -83,10 +83,12 @@ class Samples(NamedTuple):
         [s], n + 1 of them.
     rates, forces : list of ndarray, each shape (3,)
         Angular velocity [rad/s] and specific force [m/s^2], in the axes of the sensor.
+    valid : list of bool
+        Whether gyro and accelerometer can be believed.
     speeds : ndarray, shape (n + 1, 2), optional
         Speeds of the rotors [rad/s]; None where they are not known.
-    usable : bool
-        Whether gyro and accelerometer can be believed.
+    bend : float
+        Second differences of these speeds: root of their sum of squares [rad/s].
     still : bool
         Whether rotors and shell are at rest.
     """
@@ -94,11 +96,23 @@ class Samples(NamedTuple):
     times: list[float]
     rates: list[Vector]
     forces: list[Vector]
+    valid: list[bool]
     speeds: Vector | None = None
     bend: float = 0.0
-    """Second differences of the rotor speeds: root of their sum of squares [rad/s]."""
-    usable: bool = True
     still: bool = False
+
+    @property
+    def usable(self) -> bool:
+        """Whether all readings can be believed."""
+        return all(self.valid)
+
+    def part(self, which: slice) -> "Samples":
+        """Return some of the readings in a row."""
+        speeds = None if self.speeds is None else self.speeds[which]
+        return self._replace(
+            times=self.times[which], rates=self.rates[which], forces=self.forces[which],
+            valid=self.valid[which], speeds=speeds,
+        )
 
 
 class InertialFilter:
@@ -168,7 +182,10 @@ class InertialFilter:
             scaled += part * (mean @ turn)
             force += part @ (0.5 * (samples.forces[j] + samples.forces[j + 1]))
             way += middle @ turned
-        covariance = self._predicted(belief, whole, scaled, way, duration, samples)
+        model = None
+        if samples.speeds is not None:
+            model = self._model(belief, middles, samples.speeds, duration)
+        covariance = self._predicted(belief, whole, scaled, way, duration, samples, model)
         unexplained = self._numbers.forgotten * belief.unexplained
         moved = Belief(pose, belief.numbers, covariance, unexplained)
         found, by_force = moved, math.nan
@@ -178,22 +195,23 @@ class InertialFilter:
                 moved, start, rates, whole, force, duration, samples
             )
         by_rate = math.nan
-        if samples.speeds is not None:
-            found, by_rate = self._with_rate(
-                found, middles, rates, duration, samples, samples.speeds
-            )
+        if model is not None and samples.usable:
+            found, by_rate = self._with_rate(found, *model, rates, duration, samples)
         return found, Findings(by_force, by_rate, jump)
 
     def _rates(self, belief: Belief, samples: Samples) -> Vector:
         """Return the angular velocities [rad/s; body frame], by the model without a gyro."""
-        if samples.usable or samples.speeds is None:
+        if samples.usable:
             return self.body_rates(belief, np.array(samples.rates))
+        if samples.speeds is None:
+            # Neither is known: the shell is taken to rest, with an uncertainty.
+            return np.zeros((len(samples.times), 3))
         turn = rotation.matrix(belief.pose[QUATERNION])
         return np.array([self.model_rate(belief, turn, u)[0] for u in samples.speeds])
 
     def _predicted(
         self, belief: Belief, whole: Vector, scaled: Vector, way: Vector, duration: float,
-        samples: Samples,
+        samples: Samples, model: tuple[Vector, Vector] | None,
     ) -> Vector:
         """Return the covariance at the end of an interval."""
         imu, numbers, covariance = self.imu, self._numbers, belief.covariance
@@ -202,17 +220,20 @@ class InertialFilter:
         noise[GYRO_BIAS] = imu.gyro_bias_walk**2 * duration
         noise[MOMENTUM] = numbers.momentum_walk**2 * duration
         by = np.eye(SIZE)
+        turns, density = np.zeros((3, SIZE)), imu.gyro_noise
+        if samples.usable:
+            turns[:, GYRO_BIAS], turns[:, GYRO_SCALE] = -whole, -scaled
+        elif model is not None:
+            turns, density = whole @ self._turn.T @ model[1], numbers.model_noise
+        else:
+            density = numbers.blind
         if not samples.still:
-            by[PHI, GYRO_BIAS], by[PHI, GYRO_SCALE] = -whole, -scaled
+            by[PHI] += turns
             by[P, PHI] = -rolls @ _cross(way)
-            by[P, GYRO_BIAS], by[P, GYRO_SCALE] = -rolls @ whole, -rolls @ scaled
+            by[P] += rolls @ turns
             by[P, RADIUS] = rolls @ way
-        if not samples.usable:
-            by[PHI, GYRO_BIAS] = by[PHI, GYRO_SCALE] = 0.0
-            by[P, GYRO_BIAS] = by[P, GYRO_SCALE] = 0.0
         predicted = by @ covariance @ by.T
         if not samples.still:
-            density = imu.gyro_noise if samples.usable else numbers.model_noise
             turning = np.vstack((rolls, np.eye(3)))
             predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
         slipped = float(belief.unexplained @ belief.unexplained)
@@ -255,17 +276,16 @@ class InertialFilter:
             found = belief._replace(unexplained=belief.unexplained + jump)
         return found, square, jump
 
-    def _with_rate(
-        self, belief: Belief, middles: list[Vector], rates: Vector, duration: float,
-        samples: Samples, speeds: Vector,
-    ) -> tuple[Belief, float]:
-        """Return the belief with the angular velocity by the balance of momentum."""
-        numbers, imu = self._numbers, self.imu
-        wanted = np.zeros(3) if samples.still else 0.5 * np.mean(rates[:-1] + rates[1:], axis=0)
-        model = np.zeros(3)
+    def _model(
+        self, belief: Belief, middles: list[Vector], speeds: Vector, duration: float
+    ) -> tuple[Vector, Vector]:
+        """Return the mean angular velocity by the balance of momentum, and its derivative.
+
+        In rad/s and the body frame, shape (3,), by the error, shape (3, 22).
+        """
+        model: Vector = np.zeros(3)
         for j, middle in enumerate(middles):
             model += self.model_rate(belief, middle, 0.5 * (speeds[j] + speeds[j + 1]))[0]
-        model /= len(middles)
         half = len(middles) // 2
         turn = middles[half]
         rate, inverse = self.model_rate(belief, turn, speeds[half])
@@ -275,27 +295,38 @@ class InertialFilter:
         # The vertical in the body changes by -R^T (phi x e3).
         tilted = turn.T @ _cross(_UP)
         by[:, PHI] = inverse @ (
-            r1 * (np.outer(tilted.T @ rate, up).T + (up @ rate) * tilted)
+            r1 * (np.outer(up, tilted.T @ rate) + (up @ rate) * tilted)
             + c1 * (turn.T @ _cross(momentum))
         )
         by[:, MOMENTUM] = c1 * (inverse @ turn.T)
-        along = r1 * (up @ rate) * up
+        axial = np.array((0.0, 0.0, r1 / r3 * rate[2]))
         by[:, CONSTANTS] = np.column_stack((
-            rate, inverse @ (along - (0.0, 0.0, r1 / r3 * rate[2])),
-            inverse @ (0.0, 0.0, r1 / r3 * rate[2]),
+            rate, inverse @ (r1 * (up @ rate) * up - axial), inverse @ axial
         ))
         by[:, OFFSET] = -c1 * (inverse @ np.append((speeds[-1] - speeds[0]) / duration, 0.0))
-        if samples.usable and not samples.still:
+        return model / len(middles), by
+
+    def _with_rate(
+        self, belief: Belief, model: Vector, by: Vector, rates: Vector, duration: float,
+        samples: Samples,
+    ) -> tuple[Belief, float]:
+        """Return the belief with the angular velocity by the balance of momentum."""
+        numbers, imu = self._numbers, self.imu
+        wanted = np.zeros(3) if samples.still else 0.5 * np.mean(rates[:-1] + rates[1:], axis=0)
+        if not samples.still:
             by[:, GYRO_BIAS] = self._turn
             by[:, GYRO_SCALE] = self._turn * (wanted @ self._turn)
         variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
-        variance = variance + (numbers.model_share * float(np.linalg.norm(rate))) ** 2
+        variance += (numbers.model_share * float(np.linalg.norm(model))) ** 2
+        # Within a step of speeds the mean of two readings is not theirs.
+        variance += (self._constants[0] * samples.bend / (len(samples.times) - 1)) ** 2
         noise = variance * np.eye(3)
         found, square = self._updated(belief, by, wanted - model, noise, numbers.improbable)
         if square > numbers.improbable:
-            # A push, or slip: the momentum is another one.
+            # A push, or slip: the momentum is another one; or stamps are wrong.
             covariance = belief.covariance.copy()
             covariance[MOMENTUM, MOMENTUM] += numbers.push**2 * np.eye(3)
+            covariance[OFFSET, OFFSET] += numbers.offset**2
             belief = belief._replace(covariance=covariance)
             found, _ = self._updated(belief, by, wanted - model, noise, math.inf)
         if samples.still:

@@ -129,7 +129,7 @@ class Odometry:
     def _begin(self) -> None:
         """Begin anew without readings."""
         self._belief: Belief | None = None
-        self._open = Samples([], [], [])
+        self._open = Samples([], [], [], [])
         self._history: deque[_Interval] = deque()
         self._encoders: list[tuple[float, Vector]] = []
         self._pending: list[_Fix] = []
@@ -198,7 +198,10 @@ class Odometry:
         newest = self._open.times[-1] if self._open.times else math.nan
         if time > newest + self._numbers.silence and self.is_calibrated:
             self.faults.see(Kind.IMU_SILENT, time, f"given none for {time - newest:.2f} s")
-            return self._take(time, self._open.rates[-1], self._open.forces[-1], False)
+            rate, force = self._open.rates[-1], self._open.forces[-1]
+            for stamp in [stamp for stamp, _ in self._encoders if stamp > newest]:
+                self._take(stamp, rate, force, False)
+            return True
         self._close_if_due()
         return False
 
@@ -291,10 +294,7 @@ class Odometry:
             return False
         if usable:
             usable = self.faults.reading(time, rate, force)
-        if samples.times and usable != samples.usable and len(samples.times) > 1:
-            self._close()
-            samples = self._open
-        self._open = samples = samples._replace(usable=usable)
+        samples.valid.append(usable)
         samples.times.append(time)
         samples.rates.append(rate)
         samples.forces.append(force)
@@ -317,7 +317,7 @@ class Odometry:
 
     def _rates(self, belief: Belief, samples: Samples, first: int) -> Vector:
         """Return the angular velocities of two readings [rad/s; body frame], shape (2, 3)."""
-        if samples.usable or not self._encoders:
+        if all(samples.valid[first : first + 2]) or not self._encoders:
             return self._filter.body_rates(belief, np.array(samples.rates[first : first + 2]))
         turn = rotation.matrix(self._head[QUATERNION])
         rate = self._filter.model_rate(belief, turn, self._encoders[-1][1])[0]
@@ -347,12 +347,7 @@ class Odometry:
         end = len(whole.times) - 1 if end < 0 else end
         if end < 1:
             return
-        before, after = (
-            whole._replace(
-                times=whole.times[part], rates=whole.rates[part], forces=whole.forces[part]
-            )
-            for part in (slice(0, end + 1), slice(end, None))
-        )
+        before, after = whole.part(slice(0, end + 1)), whole.part(slice(end, None))
         belief = self._belief or self._started(before)
         samples = self._with_speeds(belief, before)
         samples = samples._replace(still=self._is_still(belief, samples))
@@ -388,7 +383,7 @@ class Odometry:
         deviations[FORCE_BIAS] = imu.accelerometer_bias
         deviations[MOMENTUM] = self._numbers.push
         deviations[17:20] = given.constants_deviation
-        deviations[RADIUS], deviations[OFFSET] = given.radius_deviation, self._numbers.lag
+        deviations[RADIUS], deviations[OFFSET] = given.radius_deviation, self._numbers.offset
         belief = Belief(
             self._given.pose, np.zeros(SIZE - 5), np.diag(deviations**2), np.zeros(3)
         )
@@ -437,7 +432,7 @@ class Odometry:
         until = times[-1] + 0.9 * step + late
         is_known = bool(stamps) and stamps[0] <= times[0] + late and until <= stamps[-1]
         if not is_known or self.faults.are_encoders_stuck:
-            return samples
+            return samples._replace(bend=step * self._robot.max_rotor_acceleration)
         speeds = np.array([speed for _, speed in encoders])
         wanted = np.array([times[0] - step, *times, times[-1] + step]) + late
         found = np.column_stack([np.interp(wanted, stamps, column) for column in speeds.T])
@@ -550,13 +545,7 @@ class Odometry:
             return k
         if nearest == 0:
             return k - 1
-        first, second = (
-            samples._replace(
-                times=times[part], rates=samples.rates[part], forces=samples.forces[part],
-                speeds=None if samples.speeds is None else samples.speeds[part],
-            )
-            for part in (slice(0, nearest + 1), slice(nearest, None))
-        )
+        first, second = samples.part(slice(0, nearest + 1)), samples.part(slice(nearest, None))
         self._history[k] = _Interval(start, first)
         belief, _ = self._filter.advance(start, first)
         self._history.insert(k + 1, _Interval(belief, second, fixes))

@@ -55,6 +55,10 @@ class OdometryNumbers(EstimatorSettings):
     """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
     model_share: float = 1e-3
     """Standard deviation of it over the angular velocity [-]."""
+    blind: float = 1.0
+    """Random walk of the orientation with neither gyro nor rotor speeds [rad/sqrt(s)]."""
+    offset: float = 0.02
+    """Standard deviation of the offset between the stamps of IMU and encoders [s]."""
     still: float = 2e-4
     """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
     rest: float = 1.0

@@ -14,8 +14,10 @@ from sphere_nmpc.model.state import Vector
 
 _SATURATED = 0.999
 """Share of the range at which a gyro counts as saturated [-]."""
-_REPEATED = 10
+_REPEATED = 3
 """Equal readings in a row of a sensor that is stuck: noise changes some digit of six each time."""
+_CONTRADICTIONS = 4
+"""Intervals in which the shell turns otherwise than by angles that stand still: a push is one."""
 _SIGNIFICANT = 4.0
 """Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
 _LATE = 5e-3
@@ -31,6 +33,7 @@ class SensorFaults:
         self._last: Vector = np.zeros(6)
         self._equal = 0
         self._angles: tuple[float, Vector] | None = None
+        self._contradictions = 0
         self.are_encoders_stuck = False
         """Whether the encoders have shown no turning although the rotors turn."""
 
@@ -79,13 +82,15 @@ class SensorFaults:
             return
         if self._angles is None or not np.array_equal(angles, self._angles[1]):
             self._angles, self.are_encoders_stuck = (time, np.array(angles)), False
+            self._contradictions = 0
         turned = float(np.max(np.abs(speeds))) * (time - self._angles[0])
-        if time - self._angles[0] > self._numbers.silence and turned > 1.0:
+        is_stuck = time - self._angles[0] > self._numbers.silence and turned > 1.0
+        if is_stuck or self._contradictions >= _CONTRADICTIONS:
             self.are_encoders_stuck = True
             self.see(
                 Kind.ENCODERS_STUCK, time,
-                f"given angles that stand still at {np.max(np.abs(speeds)):.3g} rad/s, expected "
-                f"{turned:.2g} rad more; the speeds are left out",
+                f"given angles that stand still at {np.max(np.abs(speeds)):.3g} rad/s while the "
+                "shell turns otherwise, expected those of the rotors; they are left out",
             )
 
     def interval(self, samples: Samples, findings: Findings, belief: Belief) -> None:
@@ -113,6 +118,7 @@ class SensorFaults:
                     "rolling does not explain; the position is less certain",
                 )
         elif findings.rate > numbers.improbable:
+            self._contradictions += 1
             self.see(
                 Kind.PUSHED, time,
                 "given an angular velocity that the rotors do not explain, with a momentum",

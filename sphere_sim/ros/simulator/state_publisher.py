@@ -3,7 +3,6 @@
 """Publisher of the simulated robot's state and of the simulated clock."""
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -83,7 +82,8 @@ class StatePublisher:
             self._last.append((self._odometry, odometry))
         if simulator.imu is not None:
             simulator.imu.is_on = self._has_odometry or self._imu.get_subscription_count() > 0
-            self._add_readings(simulator.imu_readings(), simulator.imu.settings.deviations)
+            for reading in simulator.imu_readings():
+                self._add_reading(reading, simulator.imu.settings.deviations)
         if not self._has_odometry and self._joints.get_subscription_count() > 0:
             self._add_joints(plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now)
         if self._transforms and self._transforms.get_subscription_count() > 0:
@@ -95,13 +95,12 @@ class StatePublisher:
             self._last.append((self._clock, clock_message(now)))
         self.repeat()
 
-    def _add_readings(self, readings: Sequence[ImuReading], deviations: Vector) -> None:
-        for reading in readings:
-            stamp = self.epoch + reading.stamp
-            message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
-            self._last.append((self._imu, message))
-            if self._has_odometry:
-                self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
+    def _add_reading(self, reading: ImuReading, deviations: Vector) -> None:
+        stamp = self.epoch + reading.stamp
+        message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
+        self._last.append((self._imu, message))
+        if self._has_odometry:
+            self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
 
     def _add_joints(self, angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> None:
         joints = joint_states_message(angles, speeds, torques, stamp)

@@ -38,10 +38,7 @@ class Simulator:
         self._noise_period = round(settings.noise_period * NANOSECONDS)
         self._process = np.random.default_rng([settings.seed, 0])
         self._sensor = PoseSensor(settings)
-        self.imu = None if imu is None else ImuSensor(imu, settings.seed)
-        """The IMU, which can be turned off; None if there is none."""
-        self._sensors: list[PoseSensor | ImuSensor] = [self._sensor]
-        self._sensors += [] if self.imu is None else [self.imu]
+        self.fit_imu(imu)
         self.speed_reference: Vector = np.zeros(INPUT_SIZE)
         """Reference of the rotor speeds [rad/s], shape (2,); the rotors may lag behind it."""
         self.now = 0
@@ -67,6 +64,12 @@ class Simulator:
         """Take over the settings that may change while running (noise, sensor)."""
         self._settings = settings
         self._sensor.change(settings)
+
+    def fit_imu(self, imu: SimulatedImuSettings | None) -> None:
+        """Fit an IMU with these settings from now on, or take it away."""
+        self.imu = None if imu is None else ImuSensor(imu, self._settings.seed)
+        self._sensors: list[PoseSensor | ImuSensor] = [self._sensor]
+        self._sensors += [] if self.imu is None else [self.imu]
 
     def reset(self) -> None:
         """Put the sphere at rest at its start; time and noise continue."""

@@ -193,15 +193,17 @@ def test_beyond_its_range_a_sensor_is_saturated() -> None:
     assert np.all(np.abs(found) <= limits)
 
 
-def test_imu_that_is_off_is_never_read_and_changes_no_step(monkeypatch) -> None:
+def test_imu_that_nobody_wants_is_never_read_and_changes_no_step(monkeypatch) -> None:
     hold = FirstOrderHold(np.array([0.0, 0.3, 1.0]), np.array([[0, 0], [90, -70], [0, 0.0]]))
     ends = []
     for imu in (None, replace(EXACT, rate=333.0)):
         simulator = Simulator(SimulatorSettings(position_noise=0.01), ROBOT, imu=imu)
-        if simulator.imu is not None:
-            simulator.imu.is_on = False
-            monkeypatch.setattr(RollingPlant, "imu", None)
+        assert len(simulator.imu_readings()) == (imu is not None)
+        simulator.fit_imu(None)
+        monkeypatch.setattr(RollingPlant, "imu", None)
         simulator.follower.follow_trajectory(hold)
         simulator.advance_to(SECOND)
         ends.append((*simulator.plant.state, *simulator.measured_state()))
+        assert simulator.imu_readings() == []
+        monkeypatch.undo()
     np.testing.assert_array_equal(*ends)

@@ -3,7 +3,6 @@
 """Publisher of the simulated robot's state and of the simulated clock."""
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -23,7 +22,7 @@ from sphere_nmpc.ros.cdr import (
     pose_message,
 )
 from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros, transform_from_pose
-from sphere_sim.world.imu_sensor import ImuReading
+from sphere_sim.world.imu_sensor import ImuReading, SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.mjcf import IMU
 from sphere_sim.world.simulator import Simulator
 
@@ -40,18 +39,18 @@ _DEPTH = 1000
 class StatePublisher:
     """Publish pose, odometry, IMU, joint states and, last of all, the clock unless not `clocked`.
 
-    `prefix` is that of the frames of body and IMU. With `has_odometry` another node publishes
-    pose, odometry and transform: those of here are the ground truth, and the joint states are
-    those that were read together with the IMU.
+    `prefix` is that of the frames of body and IMU, which is read while it has a subscription.
+    With `has_odometry` it always is, and another node publishes pose, odometry and transform:
+    those of here are the ground truth, and the joint states are read together with the IMU.
     """
 
     def __init__(
         self, node: Node, shell_radius: float, prefix: str = "", world_frame: str = WORLD_FRAME,
-        clocked: bool = True, has_odometry: bool = False,
+        clocked: bool = True, has_odometry: bool = False, imu: SimulatedImuSettings | None = None,
     ) -> None:
         self._radius = shell_radius
         self._body, self._imu_frame, self._world = prefix + BODY_FRAME, prefix + IMU, world_frame
-        self._has_odometry = has_odometry
+        self._has_odometry, self._imu_settings = has_odometry, imu or SimulatedImuSettings()
         under = "ground_truth/" if has_odometry else ""
         self.epoch = 0
         """Stamp of simulated time 0 [ns]."""
@@ -81,9 +80,11 @@ class StatePublisher:
                 self._world,
             )
             self._last.append((self._odometry, odometry))
-        if simulator.imu is not None:
-            simulator.imu.is_on = self._has_odometry or self._imu.get_subscription_count() > 0
-            self._add_readings(simulator.imu_readings(), simulator.imu.settings.deviations)
+        is_wanted = self._has_odometry or self._imu.get_subscription_count() > 0
+        if is_wanted is not bool(simulator.imu):
+            simulator.fit_imu(self._imu_settings if is_wanted else None)
+        for reading in simulator.imu_readings():
+            self._add_reading(reading)
         if not self._has_odometry and self._joints.get_subscription_count() > 0:
             self._add_joints(plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now)
         if self._transforms and self._transforms.get_subscription_count() > 0:
@@ -95,13 +96,12 @@ class StatePublisher:
             self._last.append((self._clock, clock_message(now)))
         self.repeat()
 
-    def _add_readings(self, readings: Sequence[ImuReading], deviations: Vector) -> None:
-        for reading in readings:
-            stamp = self.epoch + reading.stamp
-            message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
-            self._last.append((self._imu, message))
-            if self._has_odometry:
-                self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
+    def _add_reading(self, reading: ImuReading) -> None:
+        stamp, deviations = self.epoch + reading.stamp, self._imu_settings.deviations
+        message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
+        self._last.append((self._imu, message))
+        if self._has_odometry:
+            self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
 
     def _add_joints(self, angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> None:
         joints = joint_states_message(angles, speeds, torques, stamp)

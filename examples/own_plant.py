@@ -68,7 +68,7 @@ class Lagging:
         transverse, axial = robot.transverse_inertia, robot.axial_inertia
         self._rolling = robot.rolling_inertia
         self._inertia = np.diag([transverse, transverse, axial]) + self._rolling * np.eye(3)
-        self._gravity = np.array(disturbances.gravity)
+        self.gravity: Vector = np.array(disturbances.gravity)
         self.contact = Contact(walls, self._radius)
         self.reset(state)
 
@@ -80,7 +80,6 @@ class Lagging:
         self.rotor_speeds: Vector = np.zeros(2)
         self.rotor_torques: Vector = np.zeros(2)
         self._reference: Vector = np.zeros(2)
-        self._change: Vector = np.zeros(3)
 
     def displace(self, state: Vector) -> None:
         """Put the sphere elsewhere, keeping rotors and momentum."""
@@ -95,19 +94,10 @@ class Lagging:
         horizontal = np.append(np.asarray(impulse, dtype=float), 0.0)
         self.momentum = self.momentum + np.cross([0.0, 0.0, self._radius], horizontal)
 
-    def imu(self, position: Vector, turn: Vector) -> Vector:
-        """Return angular velocity and specific force of a sensor in the shell, in its axes."""
-        upright, rate = matrix(self.state[QUATERNION]), self.body_rate
-        # The angular acceleration is the change of rate over the last step.
-        east, north, _ = upright @ self._change
-        force = upright.T @ (self._radius * np.array([north, -east, 0.0]) - self._gravity)
-        force += np.cross(self._change, position) + np.cross(rate, np.cross(rate, position))
-        return np.concatenate((turn.T @ rate, turn.T @ force))
-
     def tilt(self, slope: float, direction: float) -> None:
         """Incline the floor."""
         floor = DisturbanceSettings(slope=slope, slope_direction=direction)
-        self._gravity = np.array(floor.gravity)
+        self.gravity = np.array(floor.gravity)
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step in short ones, with the rotors on their way to the reference."""
@@ -121,7 +111,7 @@ class Lagging:
     def _step(self, step: float, change: Vector) -> None:
         """Make a step of integration, in which the rotor speeds change."""
         rate_before, before = self.body_rate, self.state
-        torque = np.cross([0.0, 0.0, self._radius], self._mass * self._gravity)
+        torque = np.cross([0.0, 0.0, self._radius], self._mass * self.gravity)
         self.rotor_angles = self.rotor_angles + step * (self.rotor_speeds + 0.5 * change)
         self.rotor_speeds = self.rotor_speeds + change
         self.momentum = self.momentum + step * torque
@@ -131,8 +121,8 @@ class Lagging:
         # A step that leads into a wall is not made.
         into_wall = self.contact.is_into_wall(before[:2].tolist(), after[:2].tolist())
         self.state = before if into_wall else after
-        self._change = (self.body_rate - rate_before) / step
-        self.rotor_torques = self._rotor * (self._change[:2] + change / step)
+        turning = (self.body_rate - rate_before)[:2] + change
+        self.rotor_torques = self._rotor * turning / step
 
     def _rate(self) -> Vector:
         """Return the rate of the state."""

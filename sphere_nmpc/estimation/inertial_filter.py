@@ -43,6 +43,8 @@ _FIRST = 5
 """Size of the error of the pose, behind which the error is one of numbers."""
 ROLL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 """Velocity over radius of the centre that rolls by an angular velocity, both in the world."""
+SATURATED = 0.999
+"""Share of its range at which a sensor counts as saturated [-]."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -82,7 +84,8 @@ class Samples(NamedTuple):
     times : list of float
         [s], n + 1 of them.
     rates, forces : list of ndarray, each shape (3,)
-        Angular velocity [rad/s] and specific force [m/s^2], in the axes of the sensor.
+        Angular velocity [rad/s], and mean specific force since the reading before [m/s^2], in the
+        axes of the sensor.
     valid : list of bool
         Whether gyro and accelerometer can be believed.
     speeds : ndarray, shape (n + 1, 2), optional
@@ -180,7 +183,7 @@ class InertialFilter:
             part = middle @ turn * step
             whole += part
             scaled += part * (mean @ turn)
-            force += part @ (0.5 * (samples.forces[j] + samples.forces[j + 1]))
+            force += part @ samples.forces[j + 1]
             way += middle @ turned
         model = None
         if samples.speeds is not None:
@@ -190,12 +193,16 @@ class InertialFilter:
         moved = Belief(pose, belief.numbers, covariance, unexplained)
         found, by_force = moved, math.nan
         jump: Vector = np.zeros(3)
-        if samples.usable:
+        largest = SATURATED * self.imu.accelerometer_range
+        if samples.usable and np.max(np.abs(samples.forces[1:])) < largest:
             found, by_force, jump = self._with_force(
                 moved, start, rates, whole, force, duration, samples
             )
         by_rate = math.nan
-        if model is not None and samples.usable:
+        if by_force > self._numbers.improbable:
+            # Where it does not roll, the balance does not hold either.
+            found.covariance[MOMENTUM, MOMENTUM] += self._numbers.push**2 * np.eye(3)
+        elif model is not None and samples.usable:
             found, by_rate = self._with_rate(found, *model, rates, duration, samples)
         return found, Findings(by_force, by_rate, jump)
 
@@ -269,8 +276,6 @@ class InertialFilter:
         step = duration / (len(samples.times) - 1)
         if not samples.still:
             variance += 2.0 * (radius**2 + self._lever) * imu.gyro_noise**2 / step
-            # Of a step of the acceleration it is not known when between two readings it was.
-            variance += (radius * self._constants[0] * samples.bend) ** 2 / 3.0
         found, square = self._updated(belief, by, jump, variance * np.eye(3), numbers.improbable)
         if square > numbers.improbable:
             found = belief._replace(unexplained=belief.unexplained + jump)

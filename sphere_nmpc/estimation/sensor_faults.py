@@ -8,12 +8,10 @@ import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_filter import OFFSET, Belief, Findings, Samples
+from sphere_nmpc.estimation.inertial_filter import OFFSET, SATURATED, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.state import Vector
 
-_SATURATED = 0.999
-"""Share of the range at which a gyro counts as saturated [-]."""
 _REPEATED = 3
 """Equal readings in a row of a sensor that is stuck: noise changes some digit of six each time."""
 _CONTRADICTIONS = 4
@@ -63,7 +61,7 @@ class SensorFaults:
         self._equal = self._equal + 1 if np.array_equal(reading, self._last) else 0
         self._last = reading
         self._seen.pop(Kind.IMU_SILENT, None)
-        if float(np.max(np.abs(rate))) >= _SATURATED * self._imu.gyro_range:
+        if float(np.max(np.abs(rate))) >= SATURATED * self._imu.gyro_range:
             self.see(
                 Kind.GYRO_SATURATED, time,
                 f"given {np.max(np.abs(rate)):.3g} rad/s, expected less than gyro_range = "

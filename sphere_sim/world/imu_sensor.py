@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.quantity import NANOSECONDS, quantity
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.sampled_sensor import SampledSensor
@@ -67,14 +68,32 @@ class ImuSensor(SampledSensor[ImuReading]):
         self._accelerometer_bias = settings.accelerometer_bias * self._random.normal(size=3)
         self._scale = 1.0 + settings.gyro_scale * self._random.normal(size=3)
         self._start_bias = self._gyro_bias
+        self._before: tuple[Vector, Vector] | None = None
+        """Velocity of its place [m/s; world frame] and orientation at the reading before."""
         self._step = settings.gyro_bias_walk * math.sqrt(self.period / NANOSECONDS)
 
     def sample(self, now: int, plant: Plant) -> None:
         """Read the plant at this instant."""
         drawn = self._random.normal(size=9)
-        true = plant.imu(self._position, self._turn)
-        self.deliver(now, self._reading(now, true, self._gyro_bias, drawn, plant))
+        self.deliver(now, self._reading(now, self._sensed(plant), self._gyro_bias, drawn, plant))
         self._gyro_bias = self._gyro_bias + self._step * drawn[6:]
+
+    def _sensed(self, plant: Plant) -> Vector:
+        """Return rate and mean specific force without errors, shape (6,).
+
+        The force follows from the change of velocity since the reading before, so that a push has
+        its impulse, and what is faster than the readings, as the vibrations of a contact, is
+        averaged as by the filter of a device.
+        """
+        rate, q = plant.body_rate, plant.state[QUATERNION]
+        turn = rotation.matrix(q)
+        velocity = plant.velocity + turn @ np.cross(rate, self._position)
+        before, q_before = self._before or (velocity, q)
+        self._before = velocity, q
+        middle = q + rotation.nearer_sign(q_before, q)
+        middle = rotation.matrix(middle / np.linalg.norm(middle))
+        felt = (velocity - before) * (NANOSECONDS / self.period) - plant.gravity
+        return np.concatenate((rate @ self._turn, felt @ middle @ self._turn))
 
     def at_rest(self, duration: float, plant: Plant) -> list[ImuReading]:
         """Return the readings of the last `duration` [s] before time 0, in order.
@@ -87,7 +106,7 @@ class ImuSensor(SampledSensor[ImuReading]):
         # Backwards, so that the last readings are the same for any duration.
         drawn = np.random.default_rng([self._seed, 7, 1]).normal(size=(number, 9))
         biases = self._start_bias - self._step * np.cumsum(drawn[:, 6:], axis=0)
-        true = plant.imu(self._position, self._turn)
+        true = self._sensed(plant)
         return [
             self._reading(-self.period * (i + 1), true, biases[i], drawn[i], plant)
             for i in reversed(range(number))

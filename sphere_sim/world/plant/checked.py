@@ -13,7 +13,7 @@ from sphere_sim.world.plant.contract import PlantError
 from sphere_sim.world.walls import Contact
 
 SIZES = {
-    "state": 6, "velocity": 3, "body_rate": 3, "momentum": 3, "rotor_angles": 2,
+    "state": 6, "velocity": 3, "body_rate": 3, "momentum": 3, "gravity": 3, "rotor_angles": 2,
     "rotor_speeds": 2, "rotor_torques": 2,
 }
 """Sizes of the quantities of a plant."""
@@ -44,27 +44,24 @@ class CheckedPlant:
             raise self._error("contact", f"given {type(contact).__name__}, expected Contact")
         self.contact = contact
 
-    def imu(self, position: Vector, turn: Vector) -> Vector:
-        """Return what an IMU measures, see `Measured`; not every plant of another package can."""
-        if not callable(getattr(self._plant, "imu", None)):
-            raise self._error("imu", "given no such method, expected one, as an IMU is read")
-        return self._quantity("imu", 6, lambda: self._plant.imu(position, turn))
-
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         size = SIZES.get(name)
         if size is not None:
-            return self._quantity(name, size, lambda: getattr(self._plant, name))
+            return self._quantity(name, size)
 
         def call(*arguments: Any) -> None:
             self._tried(name, lambda: getattr(self._plant, name)(*arguments))
-            _ = self.state
+            self._quantity("state", SIZES["state"])
 
         return call
 
-    def _quantity(self, name: str, size: int, read: Callable[[], Any]) -> Vector:
-        found: Vector = self._tried(name, lambda: np.array(read(), dtype=float))
+    def _quantity(self, name: str, size: int) -> Vector:
+        def read() -> Vector:
+            return np.array(getattr(self._plant, name), dtype=float)
+
+        found: Vector = self._tried(name, read)
         if found.shape != (size,) or not np.isfinite(found).all():
             given = f"{found.tolist()}" if found.size <= size else f"the shape {found.shape}"
             raise self._error(name, f"given {given}, expected {size} finite numbers")

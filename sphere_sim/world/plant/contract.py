@@ -20,19 +20,7 @@ class PlantError(EndingError):
     """A plant failed, or has given a quantity that cannot be used."""
 
 
-class Measured(Protocol):
-    """What of a plant is used where there is an IMU alone; a plant may lack it elsewhere."""
-
-    def imu(self, position: Vector, turn: Vector) -> Vector:
-        """Return what an ideal IMU measures at the present instant, shape (6,).
-
-        That is the angular velocity [rad/s] and the specific force [m/s^2], the acceleration less
-        that of free fall, in the axes of a sensor at `position` in the shell [m; body frame],
-        shape (3,). `turn`, shape (3, 3), takes vectors in these axes to the body frame.
-        """
-
-
-class Plant(Measured, Protocol):
+class Plant(Protocol):
     """Rolling sphere whose rotors follow a speed reference that ramps over each step.
 
     It is made with the arguments ``(robot, state, disturbances=..., walls=...)``, and with
@@ -83,6 +71,10 @@ class Plant(Measured, Protocol):
     @property
     def momentum(self) -> Vector:
         """Angular momentum about the contact point [N m s; world frame], shape (3,)."""
+
+    @property
+    def gravity(self) -> Vector:
+        """Acceleration of free fall [m/s^2; world frame], shape (3,)."""
 
     @property
     def rotor_angles(self) -> Vector:

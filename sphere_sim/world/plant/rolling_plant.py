@@ -126,6 +126,11 @@ class RollingPlant:
         return np.array(self._y[6:])
 
     @property
+    def gravity(self) -> Vector:
+        """Acceleration of free fall [m/s^2; world frame], shape (3,)."""
+        return np.array(self._gravity)
+
+    @property
     def rotor_angles(self) -> Vector:
         """Angles of the rotors [rad], shape (2,)."""
         return np.array(self._angles)
@@ -140,22 +145,6 @@ class RollingPlant:
         """Motor torques over the last step [N m], shape (2,) (Eq. 45)."""
         if not any(self._acceleration) and self._is_equilibrium:
             return np.zeros(2)  # as in `advance`: most rows of a study are at rest
-        shell = self._body_acceleration()
-        torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
-        return torques
-
-    def imu(self, position: Vector, turn: Vector) -> Vector:
-        """Return rate [rad/s] and specific force [m/s^2] of a sensor in the shell, shape (6,)."""
-        rate, to_world = self.body_rate, matrix(self.state[2:])
-        change = np.zeros(3) if self._is_stopped else self._body_acceleration()
-        east, north, _ = to_world @ change
-        centre = self._radius * np.array([north, -east, 0.0])
-        force = to_world.T @ (centre - self._gravity) + _cross(change, position)
-        force += _cross(rate, _cross(rate, position))
-        return np.concatenate((turn.T @ rate, turn.T @ force))
-
-    def _body_acceleration(self) -> Vector:
-        """Return the angular acceleration of the shell [rad/s^2; body frame], shape (3,)."""
         turn, up = matrix(self.state[2:]), np.array([0.0, 0.0, 1.0])
         rate = np.array(self._world_rate(self._y, *self._speeds))
         inertia = turn @ np.diag(self._inertia) @ turn.T
@@ -163,19 +152,20 @@ class RollingPlant:
         # The balance differentiated once: all that is fixed to the body turns at omega.
         spin = turn[:, :2] @ self._speeds
         turning = inertia @ rate + self._rotor_inertia * spin
-        drifting = _cross(rate, c)
+        drifting = np.cross(rate, c)
         change = (
             np.array(self.rate(self._y, *self._speeds)[6:])
             - self._rotor_inertia * (turn[:, :2] @ self._acceleration)
-            - _cross(rate, turning)
+            - np.cross(rate, turning)
             - pull * (2.0 * drifting[2] * rate - drifting * rate[2] - up * (drifting @ rate))
         )
         about_contact = inertia + pull * (
             (self._radius + 2.0 * c[2]) * np.eye(3) - np.outer(c, up) - np.outer(up, c)
             - self._radius * np.outer(up, up)
         )
-        found: Vector = turn.T @ np.linalg.solve(about_contact, change)
-        return found
+        shell = turn.T @ np.linalg.solve(about_contact, change)
+        torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
+        return torques
 
     @property
     def _is_equilibrium(self) -> bool:
@@ -299,12 +289,6 @@ class RollingPlant:
             slowest = self._spinning * self._stopped_in_a_step
             f3 = -self._spinning / max(abs(o3), slowest) * o3
         return f1, f2, f3
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    """Return a x b as `np.cross` does, which takes four times as long to look at the shapes."""
-    product: Vector = a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
-    return product
 
 
 def _inertia_about_centre(robot: RobotParameters) -> tuple[float, float, float]:

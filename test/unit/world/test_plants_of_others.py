@@ -15,7 +15,6 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
-from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.contract import PlantError, PlantSettings
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -64,9 +63,6 @@ class Own(RollingPlant):
         if self.fails("nan"):
             found[1] = np.nan
         return 2.0 * found if self.fails("quaternion") else found
-
-    def imu(self, position, turn):
-        return super().imu(position, turn) * (np.nan if self.fails("imu") else 1.0)
 
     @property
     def rotor_torques(self):
@@ -123,20 +119,6 @@ def test_run_with_a_plant_that_fails_is_recorded_with_the_reason(kind: str) -> N
     assert not record.results["settled"] and not record.times.size
 
 
-@pytest.mark.parametrize(("lacks", "words"), [
-    (True, "plant own: imu: given no such method"), (False, "plant own: imu: given [nan"),
-])
-def test_imu_is_needed_where_it_is_read_alone(monkeypatch, lacks: bool, words: str) -> None:
-    if lacks:
-        monkeypatch.setattr(Own, "imu", None)
-    settings = SimulatorSettings(plant="own", initial_state=tuple(START))
-    failing("imu")
-    Simulator(settings, ROBOT).advance_to(100_000_000)
-    with pytest.raises(PlantError) as caught:
-        Simulator(settings, ROBOT, imu=SimulatedImuSettings())
-    assert str(caught.value).startswith(words)
-
-
 def test_push_that_a_plant_does_not_have_ends_the_run_with_the_reason() -> None:
     pushed = replace(PAPER_CASES[1], push=Push(0.5, (0.1, 0.0)))
     results = run_scenario(CONDITIONS.with_settings([("plant", "own")]), pushed).results
@@ -165,7 +147,7 @@ def test_settings_of_a_plant_are_those_of_its_name() -> None:
     assert made._plant.settings == OwnSettings(0.3)
     assert CONDITIONS.with_settings([("plant", "own")]).of_plant == OwnSettings(0.1)
     assert conditions.with_settings([("plant", "rolling")]).of_plant == PlantSettings()
-    with pytest.raises(InvalidParameterError, match="disturbances, floor, own, rigid_body"):
+    with pytest.raises(InvalidParameterError, match="floor, imu, odometry, own, rigid_body"):
         CONDITIONS.with_settings([("own.mass", "1")])
     with pytest.raises(InvalidParameterError, match="a setting of controller"):
         CONDITIONS.with_settings([("lag", "0.3")])

@@ -105,7 +105,8 @@ def make_mjcf(
     gravity, so that x and y are coordinates in it.
 
     Of an actuator the control is the slope of the speed reference [rad/s^2], or, for ros2_control,
-    the reference itself [rad/s]. The sensors are those of `SENSORS`, the IMU mounted as in `imu`.
+    the reference itself [rad/s]; the model then has the sensors of `SENSORS` too, the IMU mounted
+    as in `imu`.
     """
     root = ElementTree.Element("mujoco", model="sphere")
     add_element(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -145,9 +146,10 @@ def make_mjcf(
             biasprm=_text(0.0, 0.0, -gain),
             forcerange=_text(-settings.torque_limit, settings.torque_limit),
         )
-    sensors = add_element(root, "sensor")
-    for name, (kind, frame) in SENSORS.items():
-        add_element(sensors, kind, name=name, **frame)
+    if for_ros2_control:
+        sensors = add_element(root, "sensor")
+        for name, (kind, frame) in SENSORS.items():
+            add_element(sensors, kind, name=name, **frame)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 

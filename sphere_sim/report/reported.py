@@ -4,6 +4,7 @@
 
 import dataclasses
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -113,6 +114,20 @@ def floor_metrics(run: Run) -> dict[str, float]:
         "least_clearance_m": float(known.min()) if known.size else float("nan"),
         "contacts": max(counted.size, begun.size),
         "first_contact_s": float(min((*counted[:1], *begun[:1]), default=float("nan"))),
+    }
+
+
+def odometry_metrics(run: Run) -> dict[str, float]:
+    """Return the errors of odometry at the end of a run; empty for one without estimates.
+
+    They are those of `estimate_errors`, but for the heading in degrees.
+    """
+    errors = run.estimates.final_errors
+    if errors is None:
+        return {}
+    return {
+        "odometry_position_error_m": float(errors[0]),
+        "odometry_heading_error_deg": math.degrees(errors[1]),
     }
 
 

@@ -28,7 +28,7 @@ from sphere_nmpc.ros.cdr import (
     Vector3,
 )
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
-from sphere_sim.recording.message_fields import POSE_TOPIC
+from sphere_sim.recording.message_fields import POSE_TOPIC, TRUE_POSE
 from sphere_sim.recording.messages import Messages, full_topic_name
 
 _POSE, _JOINTS, _PLANS = TYPES[Pose], TYPES[Joints], TYPES[Trajectory]
@@ -38,8 +38,6 @@ _NAMED = {
 }
 """Types of the topics whose names are those of nodes of this package."""
 _GOALS = ("/goal_pose", "/active_goal")
-_TRUE_POSE = "ground_truth/pose"
-"""Topic of the simulator's poses where `pose` has those that odometry estimates."""
 _FEWEST = 20
 """Poses of a topic that can be those of a robot: a second of them at the lowest rate that the
 controller expects. Goals are fewer."""
@@ -141,7 +139,7 @@ class _Bag:
 
     def judged(self, robot: str, stated: dict[str, str]) -> tuple[str, str]:
         """Return the topic of the poses to judge a robot on, and that of estimates of them."""
-        truth = self._recorded(robot, _TRUE_POSE, stated)
+        truth = self._recorded(robot, TRUE_POSE, stated)
         if not truth:
             return self.poses(robot, stated), ""
         estimate = self._recorded(robot, "pose", stated) or f"{robot}/pose"
@@ -253,8 +251,8 @@ class _Bag:
 
 
 def _space(topic: str) -> str:
-    """Return what is before the last part of a full name, or before `_TRUE_POSE`."""
-    own = topic.removesuffix(f"/{_TRUE_POSE}")
+    """Return what is before the last part of a full name, or before `TRUE_POSE`."""
+    own = topic.removesuffix(f"/{TRUE_POSE}")
     return topic.rpartition("/")[0] if own == topic else own
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Viewer node: shows the topics of a robot in the browser, and sends the requests of users.
 
-subscribes  pose, joint_states, controller/active_goal, controller/predicted_path,
-            controller/floor, controller/status, /diagnostics
+subscribes  pose, ground_truth/pose, joint_states, controller/active_goal,
+            controller/predicted_path, controller/floor, controller/status, /diagnostics
 publishes   goal_pose, goal_point, simulator/push
 calls       controller/enable, controller/cancel, simulator/pause, simulator/reset and parameters,
             where available

@@ -38,6 +38,26 @@ def test_restart_is_a_step_back_in_time_or_an_impossible_speed(stamp, x, restart
     assert not live.take(0.1, 1).restarted, "a restart is reported once"
 
 
+def test_poses_are_estimates_while_there_are_true_ones() -> None:
+    live = LiveFrame(0.0)
+    live.add_pose(0.9, state(0.5), 0.3, 0.0)
+    for i, sign in enumerate((1.0, -1.0, 1.0)):  # signs of a quaternion mean nothing
+        true = state(0.1 * i)
+        true[2:] *= sign
+        live.add_true_pose(1.0 + 0.01 * i, true, 0.3, 0.1)
+    half = 0.5 * 0.02
+    live.add_pose(1.005, make_state((0.05, 0.003), (np.cos(half), 0, 0, np.sin(half))), 0.3, 0.2)
+    frame = live.take(0.2, 1)
+    assert frame.time == 1.02 and frame.state[0] == 0.2, "the true one"
+    assert frame.estimate[1] == 0.003
+    np.testing.assert_allclose(frame.estimate_error, (0.003, 0.02), rtol=1e-9)
+    live.add_pose(1.03, state(0.9), 0.3, 0.2)
+    assert live.frame.estimate_error[0] == frame.estimate_error[0], "no true pose of that time yet"
+    live.add_pose(2.0, state(0.3), 0.3, 0.1 + 2.0)
+    frame = live.take(2.1, 1)
+    assert frame.state[0] == 0.3 and frame.estimate is None, "no true poses any more"
+
+
 def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:
     live, long = LiveFrame(0.0), 100_000 * "x"
     for height in (0.0, -0.3, 11.0, float("inf"), float("nan")):

@@ -6,7 +6,8 @@
 publishes to its first matched subscription and ends, so that with a recorder among the subscribers
 the goal may never reach the controller. Accepted goals are on ``controller/active_goal``, refused
 ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``, ``map`` and
-``keepout`` as they are put together on ``controller/floor``, and ``initialpose`` is not recorded.
+``keepout`` as they are put together on ``controller/floor``, and ``initialpose`` is not
+recorded. Nor is ``imu``, which a simulator reads only for a subscriber.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,6 @@ DEFAULT_TOPICS = (
     "odom",
     "ground_truth/*",
     "joint_states",
-    "imu",
     "pose_fix",
     "odometry/*",
     "rotor_trajectory",
@@ -42,7 +42,6 @@ KNOWN_TYPES = {
     "ground_truth/pose": "geometry_msgs/msg/PoseStamped",
     "ground_truth/odom": "nav_msgs/msg/Odometry",
     "joint_states": "sensor_msgs/msg/JointState",
-    "imu": "sensor_msgs/msg/Imu",
     "pose_fix": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "odometry/status": "diagnostic_msgs/msg/DiagnosticStatus",
     "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",

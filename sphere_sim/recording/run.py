@@ -154,12 +154,6 @@ class Estimates:
             return None, np.full(2, np.nan)
         return self.states[index], self.errors[index]
 
-    @property
-    def final_errors(self) -> Vector | None:
-        """Errors of the last estimate that has any, shape (2,); None without one."""
-        known = np.flatnonzero(np.isfinite(self.errors[:, 0]))
-        return self.errors[known[-1]] if known.size else None
-
     def between(self, start: float, end: float) -> "Estimates":
         """Return the estimates from `start` until before `end` [s], likewise."""
         return Estimates(*_section(start, end, self.times, self.states, self.errors))

@@ -120,15 +120,13 @@ def floor_metrics(run: Run) -> dict[str, float]:
 def odometry_metrics(run: Run) -> dict[str, float]:
     """Return the errors of odometry at the end of a run; empty for one without estimates.
 
-    They are those of `estimate_errors`, but for the heading in degrees.
+    They are those of `estimate_errors`, but for the heading without its sign and in degrees.
     """
-    errors = run.estimates.final_errors
-    if errors is None:
-        return {}
+    known = run.estimates.errors[np.isfinite(run.estimates.errors[:, 0])].tolist()
     return {
-        "odometry_position_error_m": float(errors[0]),
-        "odometry_heading_error_deg": math.degrees(errors[1]),
-    }
+        "odometry_position_error_m": known[-1][0],
+        "odometry_heading_error_deg": abs(math.degrees(known[-1][1])),
+    } if known else {}
 
 
 def motion_table(run: Run) -> dict[str, Vector]:

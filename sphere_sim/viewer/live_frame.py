@@ -34,8 +34,8 @@ _PAUSE_TIMEOUT = 0.5
 """Time without a newer stamp after which the robot's clock counts as paused [s]."""
 _MAX_SPEED = 20.0
 """Speed above which a change of position is a restart at another place [m/s]."""
-_TRUE_POSES = 100
-"""True poses that are kept until an estimate for their time arrives."""
+_TRUE_POSES = 20
+"""True poses that are kept for the estimate of their time."""
 _POSITION_TOLERANCE = 0.1
 """Change of position that is never a restart [m]."""
 
@@ -48,7 +48,7 @@ class LiveFrame:
         """Newest values, without alerts."""
         self._stamp_changed_at = now
         self._pose_at: float | None = None
-        self._true_at = -np.inf
+        self._true_at, self._estimate_stamp = -np.inf, 0.0
         self._true: deque[tuple[float, Vector]] = deque(maxlen=_TRUE_POSES)
         self.controller_at: float | None = None
         """Time at which the newest message of the controller arrived [s]."""
@@ -79,6 +79,12 @@ class LiveFrame:
         floor = frame.floor if self._has_floor else None
         refused = f"floor refused: {self.floor_refused}" if self.floor_refused else ""
         reported = *filter(None, (*alerts, refused)), *self._reported
+        if frame.estimate is not None:
+            # Only now, as of an estimate and the true pose of its time either may arrive first.
+            times, states = map(np.array, zip(*self._true, strict=True))
+            stamp, estimate = np.array([self._estimate_stamp]), frame.estimate[None]
+            error = estimate_errors(stamp, estimate, times, states)[0]
+            frame = replace(frame, estimate_error=error)
         return replace(frame, goal=goal, floor=floor, alerts=reported)
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
@@ -88,14 +94,11 @@ class LiveFrame:
         """
         self.refused, self._pose_at = "", now
         if now - self._true_at > POSE_TIMEOUT:
+            self.update(estimate=None)
             self._show_pose(stamp, state, height, now)
-            self.update(estimate=None, estimate_error=np.full(2, np.nan))
             return
-        times, states = map(np.array, zip(*self._true, strict=True))
-        error = estimate_errors(np.array([stamp]), state[None], times, states)[0]
+        self._estimate_stamp = stamp
         self.update(estimate=state)
-        if np.isfinite(error[0]):
-            self.update(estimate_error=error)
 
     def add_true_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         """Update the state by a true pose, likewise; other poses are then estimates of it."""

@@ -15,7 +15,7 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_sim.recording.run import Floors, Momentum, Run, Solves
+from sphere_sim.recording.run import Estimates, Floors, Momentum, Run, Solves
 from sphere_sim.viewer import replay as module
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.replay import Replay
@@ -52,8 +52,10 @@ def test_poses_are_estimates_while_there_are_true_ones() -> None:
     assert frame.estimate[1] == 0.003
     np.testing.assert_allclose(frame.estimate_error, (0.003, 0.02), rtol=1e-9)
     live.add_pose(1.03, state(0.9), 0.3, 0.2)
-    assert live.frame.estimate_error[0] == frame.estimate_error[0], "no true pose of that time yet"
-    live.add_pose(2.0, state(0.3), 0.3, 0.1 + 2.0)
+    assert np.isnan(live.take(0.2, 1).estimate_error).all(), "no true pose of that time yet"
+    live.add_true_pose(1.03, state(0.8), 0.3, 0.2)
+    np.testing.assert_allclose(live.take(0.2, 1).estimate_error, (0.1, 0.0), atol=1e-12)
+    live.add_pose(2.0, state(0.3), 0.3, 2.1)
     frame = live.take(2.1, 1)
     assert frame.state[0] == 0.3 and frame.estimate is None, "no true poses any more"
 
@@ -175,6 +177,7 @@ DURATION = 20.0
 MOMENTUM = np.array([0.0, 0.15, 0.0])
 GRID = Grid(np.zeros((2, 2), dtype=bool), 1.0)
 ROBOT = RobotParameters()
+ERROR = np.array([0.2, 0.0])
 
 
 @pytest.fixture
@@ -199,6 +202,7 @@ def replay(wall) -> Replay:
         np.ones((len(times), 2)), np.array([1.0]), (Goal(goal),), (hold,), solves,
         Momentum(np.array([4.5]), MOMENTUM[None], (UNDISTURBED,)),
         Floors(np.array([2.0, 8.0]), (GRID, None), np.array([3.0]), np.array([0.125])),
+        estimates=Estimates(np.array([4.9]), states[490:491] + 0.2 * np.eye(6)[0], ERROR[None]),
     )
     return Replay(run)
 
@@ -232,7 +236,9 @@ def test_plan_solve_goal_momentum_and_floor_are_those_at_the_time_of_the_frame(r
     assert len(before.plan) == 0 and np.isnan([before.cost, *before.momentum]).all()
     replay.handle(Seek(5.2))
     frame = replay.frames()[-1]
-    assert frame.plan.shape == (3, 6) and frame.plan[0, 0] == pytest.approx(5.0)
+    assert frame.plan.shape == (3, 6) and frame.plan[0, 0] == pytest.approx(5.1), "the estimate"
+    assert frame.estimate[0] == pytest.approx(5.1) and frame.state[0] == pytest.approx(5.2)
+    assert frame.estimate_error.tolist() == ERROR.tolist() and before.estimate is None
     start = np.concatenate((frame.plan[0], MOMENTUM / ROBOT.rotor_axial_inertia))
     speeds = np.array([[0.0, 0.0], [10.0, 0.0]])
     expected = roll_out(start, speeds, np.array([0.5]), ROBOT.lumped.as_array())

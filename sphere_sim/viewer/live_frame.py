@@ -72,6 +72,7 @@ class LiveFrame:
 
         The next frame is not marked as restarted.
         """
+        self._update_error()
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
         alerts = (self._pose_alert(now), self._controller_alert(now, controllers))
         # One that has been cancelled is kept: a status may be older than a new goal.
@@ -79,12 +80,6 @@ class LiveFrame:
         floor = frame.floor if self._has_floor else None
         refused = f"floor refused: {self.floor_refused}" if self.floor_refused else ""
         reported = *filter(None, (*alerts, refused)), *self._reported
-        if frame.estimate is not None:
-            # Only now, as of an estimate and the true pose of its time either may arrive first.
-            times, states = map(np.array, zip(*self._true, strict=True))
-            stamp, estimate = np.array([self._estimate_stamp]), frame.estimate[None]
-            error = estimate_errors(stamp, estimate, times, states)[0]
-            frame = replace(frame, estimate_error=error)
         return replace(frame, goal=goal, floor=floor, alerts=reported)
 
     def add_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
@@ -109,6 +104,18 @@ class LiveFrame:
         self._true_at = now
         self._true.append((stamp, state))
         self._show_pose(stamp, state, height, now)
+
+    def _update_error(self) -> None:
+        """Update the error of the estimate, where there are true poses before and after it.
+
+        Of an estimate and the true pose of its time either may arrive first.
+        """
+        if self.frame.estimate is not None:
+            times, states = map(np.array, zip(*self._true, strict=True))
+            stamp, estimate = np.array([self._estimate_stamp]), self.frame.estimate[None]
+            error = estimate_errors(stamp, estimate, times, states)[0]
+            if np.isfinite(error[0]):
+                self.update(estimate_error=error)
 
     def _show_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         last = self.frame

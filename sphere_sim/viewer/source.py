@@ -61,8 +61,8 @@ class Frame:
     state, goal : ndarray of shape (6,), or None, and Goal or None
         State of the sphere, the true one where that is known, and goal in force.
     estimate, estimate_error : ndarray of shape (6,), or None, and of shape (2,)
-        Pose that odometry estimates where `state` is the true one, and its error at its own time,
-        see `estimate_errors`: distance [m] and heading [rad].
+        Pose that odometry estimates where `state` is the true one, and the newest known error of
+        an estimate at its own time, see `estimate_errors`: distance [m] and heading [rad].
     radius, robot : float and RobotParameters
         Radius of the shell [m]; inertia and limits of the rotors, which are the ranges of plots.
     rotor_speeds, rotor_torques : ndarray, shape (2,)

@@ -54,7 +54,8 @@ SHARE = Path(get_package_share_directory(PACKAGE))
 STATE_PUBLISHER = "robot_state_publisher"
 ACTIONS = "nav2_msgs"
 RECORDED = (
-    "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
+    "pose", "odom", "ground_truth/pose", "ground_truth/odom", "pose_fix", "odometry/status",
+    "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/eta", "controller/floor",
     "controller/predicted_path", "controller/status", "simulator/pushed",
 )

@@ -87,6 +87,26 @@ def errors_to(goal: Goal, states: Vector) -> Vector:
     return np.stack(errors, axis=1)
 
 
+def estimate_errors(
+    stamps: Vector, estimates: Vector, times: Vector, states: Vector
+) -> Vector:
+    """Return the errors of estimated states: distance [m] and heading [rad], shape (m, 2).
+
+    The estimates, (m, 6), are at `stamps` [s], shape (m,). The true `states`, shape (n, 6), are at
+    ascending `times` [s], with quaternions that do not change their sign from one to the next;
+    they are interpolated, and errors outside of them are nan. The error of the heading is the
+    vertical component of the rotation vector that turns the true orientation into the estimated
+    one, in the world frame.
+    """
+    true = np.stack([np.interp(stamps, times, column, left=math.nan, right=math.nan)
+                     for column in states.T], axis=1)
+    turns = rotation.products(
+        estimates[:, QUATERNION].T, rotation.conjugate(true[:, QUATERNION]).T
+    ).T
+    headings = np.array([rotation.logarithm(turn)[2] for turn in turns])
+    return np.column_stack((position_errors(estimates, true), headings))
+
+
 def settling_index(errors: Vector, tolerance: float = SETTLED_ERROR) -> int | None:
     """Return the index from which on all errors are below `tolerance`; None if there is none."""
     outside = np.flatnonzero(~(errors < tolerance))

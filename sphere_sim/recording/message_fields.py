@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of the controller's status."""
+"""Values of the controller's status, and the topic of true poses."""
 
 import math
 from collections.abc import Mapping
@@ -18,6 +18,8 @@ CLEARANCE = "clearance_m"
 """Key of the least distance between the sphere on its planned path and what is occupied [m]."""
 POSE_TOPIC = "pose_topic"
 """Key of the full name of the topic from which the controller has its poses."""
+TRUE_POSE = "ground_truth/pose"
+"""Topic of the simulator's poses where `pose` has those that odometry estimates."""
 CONTACTS = ": commands", "wall touched"
 """End of the name of a simulator's status in diagnostics, and key of its contacts so far."""
 HOLDING = "holding"

@@ -6,7 +6,8 @@
 publishes to its first matched subscription and ends, so that with a recorder among the subscribers
 the goal may never reach the controller. Accepted goals are on ``controller/active_goal``, refused
 ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``, ``map`` and
-``keepout`` as they are put together on ``controller/floor``.
+``keepout`` as they are put together on ``controller/floor``, and ``initialpose`` is not
+recorded. Nor is ``imu``, which a simulator reads only for a subscriber.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,10 @@ from sphere_nmpc.quantity import quantity, validate
 DEFAULT_TOPICS = (
     "pose",
     "odom",
+    "ground_truth/*",
     "joint_states",
+    "pose_fix",
+    "odometry/*",
     "rotor_trajectory",
     "rotor_commands",
     "controller/*",
@@ -35,7 +39,11 @@ DEFAULT_TOPICS = (
 KNOWN_TYPES = {
     "pose": "geometry_msgs/msg/PoseStamped",
     "odom": "nav_msgs/msg/Odometry",
+    "ground_truth/pose": "geometry_msgs/msg/PoseStamped",
+    "ground_truth/odom": "nav_msgs/msg/Odometry",
     "joint_states": "sensor_msgs/msg/JointState",
+    "pose_fix": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "odometry/status": "diagnostic_msgs/msg/DiagnosticStatus",
     "rotor_trajectory": "trajectory_msgs/msg/JointTrajectory",
     "rotor_commands": "std_msgs/msg/Float64MultiArray",
     "controller/active_goal": "geometry_msgs/msg/PoseStamped",

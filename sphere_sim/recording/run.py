@@ -16,7 +16,7 @@ from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, nearer_sign
+from sphere_nmpc.model.state import POSE_SIZE, POSITION, QUATERNION, Vector, nearer_sign
 from sphere_sim.evaluation.metrics import ERRORS, Metrics, errors_to, measure
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.world.walls import Walls
@@ -137,6 +137,29 @@ class Floors:
 
 
 @dataclass(frozen=True, eq=False)
+class Estimates:
+    """Poses that odometry estimated, m in number; none where the true ones were not recorded.
+
+    They have times [s], states, shape (m, 6), and errors, shape (m, 2), see `estimate_errors`.
+    """
+
+    times: Vector = field(default_factory=lambda: np.empty(0))
+    states: Vector = field(default_factory=lambda: np.empty((0, POSE_SIZE)))
+    errors: Vector = field(default_factory=lambda: np.empty((0, 2)))
+
+    def at(self, time: float) -> tuple[Vector | None, Vector]:
+        """Return the newest estimate at a time [s] and its errors; None and nan before."""
+        index = newest(self.times, time)
+        if index < 0:
+            return None, np.full(2, np.nan)
+        return self.states[index], self.errors[index]
+
+    def between(self, start: float, end: float) -> "Estimates":
+        """Return the estimates from `start` until before `end` [s], likewise."""
+        return Estimates(*_section(start, end, self.times, self.states, self.errors))
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """One run of one robot, to one goal or to several in turn.
 
@@ -147,8 +170,8 @@ class Run:
     name, path : str and Path
         Name of the run in legends, and the bag.
     times, states : ndarray, shapes (n,) and (n, 6)
-        Times of the poses [s], and measured states, without sign changes between consecutive
-        quaternions.
+        Times of the poses [s], and measured states, or the true ones where odometry estimates the
+        poses, without sign changes between consecutive quaternions.
     joint_times, rotor_speeds, rotor_torques : ndarray, shapes (m,), (m, 2) and (m, 2)
         Times of the joint states [s], speeds [rad/s] and torques [N m]; nan where not recorded.
     goal_times, goals : ndarray, shape (g,), and tuple of Goal, length g
@@ -164,6 +187,8 @@ class Run:
         Strategy, robot and plant in words, see `setup_text`.
     notes : tuple of str
         Messages for users on what is missing or invalid in the bag.
+    estimates : Estimates
+        Poses by odometry, which the controller used.
     """
 
     name: str
@@ -182,6 +207,7 @@ class Run:
     robot: RobotParameters = field(default_factory=RobotParameters)
     setup: str = ""
     notes: tuple[str, ...] = ()
+    estimates: Estimates = field(default_factory=Estimates)
 
     @property
     def goal(self) -> Vector | None:
@@ -241,6 +267,7 @@ class Run:
             solves=self.solves.between(start, end),
             momentum=self.momentum.between(start, end),
             floors=self.floors.between(start, end),
+            estimates=self.estimates.between(start, end),
         )
 
     def metrics(self) -> Metrics | None:

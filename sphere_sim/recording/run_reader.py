@@ -18,10 +18,11 @@ from sphere_nmpc.foreign_text import cut, shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, are_states
+from sphere_nmpc.model.state import POSE_SIZE, QUATERNION, Vector, are_states
 from sphere_nmpc.quantity import LARGEST, NANOSECONDS, known, stamp_text
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.floor_messages import floor_of
+from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
@@ -37,6 +38,7 @@ from sphere_sim.recording.message_fields import (
 from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.poses import read_poses
 from sphere_sim.recording.run import (
+    Estimates,
     Floors,
     Momentum,
     Run,
@@ -85,12 +87,13 @@ def read_run(
     known_parameters = _recorded_parameters(messages.custom_data, robot.controller)
     parameters = _recorded_robot(known_parameters)
     solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
-    floors = reader.floors()
+    floors, states = reader.floors(), without_sign_jumps(states)
+    estimates = reader.estimates(robot.estimate, times, states)
     reader.tell_undated()
     return Run(
-        printable(name or Path(storage_name(path)).stem), path, times, without_sign_jumps(states),
+        printable(name or Path(storage_name(path)).stem), path, times, states,
         joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, floors,
-        parameters, reader.setup(known_parameters, parameters), tuple(messages.notes),
+        parameters, reader.setup(known_parameters, parameters), tuple(messages.notes), estimates,
     )
 
 
@@ -157,6 +160,24 @@ class _TopicReader:
         table = np.array(rows, dtype=float).reshape(-1, 5)
         times, first = np.unique(table[:, 0], return_index=True)
         return times, table[first, 1:3], table[first, 3:5]
+
+    def estimates(self, topic: str, times: Vector, states: Vector) -> Estimates:
+        """Return the estimates of poses on a topic, with their errors from the true states.
+
+        These have shape (n, 6), at ascending times [s]; the topic is empty without estimates.
+        """
+        entries = self._messages.decoded.get(topic, [])
+        if topic and not entries:
+            self._notes.append(f"{topic} is missing; no estimates of the poses")
+        found: Vector = np.array(
+            [(self._time(topic, message, received), *message.state)
+             for received, message in entries]
+        ).reshape(-1, 1 + POSE_SIZE)
+        stamps, first = np.unique(found[:, 0], return_index=True)
+        poses = found[first, 1:]
+        valid = are_states(poses)
+        stamps, poses = stamps[valid], poses[valid]
+        return Estimates(stamps, poses, estimate_errors(stamps, poses, times, states))
 
     def plans(self) -> tuple[FirstOrderHold, ...]:
         """Return the plans that the controller sent, knot times in the run's time [s]."""

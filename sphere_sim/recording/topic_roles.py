@@ -28,7 +28,7 @@ from sphere_nmpc.ros.cdr import (
     Vector3,
 )
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
-from sphere_sim.recording.message_fields import POSE_TOPIC
+from sphere_sim.recording.message_fields import POSE_TOPIC, TRUE_POSE
 from sphere_sim.recording.messages import Messages, full_topic_name
 
 _POSE, _JOINTS, _PLANS = TYPES[Pose], TYPES[Joints], TYPES[Trajectory]
@@ -47,12 +47,15 @@ controller expects. Goals are fewer."""
 class Robot:
     """Topics of one robot of a bag, by their full names.
 
-    `namespace` has no slash at its end, and `controller` is the full name of its node.
+    `namespace` has no slash at its end, and `controller` is the full name of its node. The run is
+    judged on `pose`; where these poses are the true ones of a simulator, `estimate` has those that
+    the controller used, and is empty otherwise.
     """
 
     namespace: str
     controller: str
     pose: str
+    estimate: str
     joint_states: str
     rotor_trajectory: str
 
@@ -73,9 +76,9 @@ def find_robot(messages: Messages, namespace: str | None, pose_topic: str | None
     robot = found.select(namespace, pose_topic)
     nodes = found.controllers(robot)
     stated = found.stated(robot, nodes)
+    pose, estimate = found.judged(robot, stated) if pose_topic is None else (pose_topic, "")
     return Robot(
-        robot, nodes[0] if nodes else f"{robot}/controller",
-        found.poses(robot, stated) if pose_topic is None else pose_topic,
+        robot, nodes[0] if nodes else f"{robot}/controller", pose, estimate,
         found.of_rotors(robot, "joint_states", _JOINTS, stated),
         found.of_rotors(robot, "rotor_trajectory", _PLANS, stated),
     )
@@ -134,12 +137,22 @@ class _Bag:
                     found["pose"] = message.values[POSE_TOPIC]
         return {name: full_topic_name(str(topic)) for name, topic in found.items()}
 
+    def judged(self, robot: str, stated: dict[str, str]) -> tuple[str, str]:
+        """Return the topic of the poses to judge a robot on, and that of estimates of them."""
+        truth = self._recorded(robot, TRUE_POSE, stated)
+        if not truth:
+            return self.poses(robot, stated), ""
+        estimate = self._recorded(robot, "pose", stated) or f"{robot}/pose"
+        self._messages.notes.append(
+            f"{truth} has the true poses, on which the run is judged; {estimate} has estimates"
+        )
+        return truth, estimate
+
     def poses(self, robot: str, stated: dict[str, str]) -> str:
         """Return the topic with the poses of a robot."""
+        if topic := self._recorded(robot, "pose", stated):
+            return topic
         own, decoded = f"{robot}/pose", self._messages.decoded
-        for topic in (stated.get("pose", own), own):
-            if topic in self._candidates and topic in decoded:
-                return topic
         found = [topic for topic in self._free(robot, self._candidates)
                  if len(decoded.get(topic, ())) >= _FEWEST and self._is_in_frame(robot, topic)]
         if len(found) > 1:
@@ -154,6 +167,12 @@ class _Bag:
         if own in self._candidates:
             return own  # which is empty
         raise self._without_poses(robot)
+
+    def _recorded(self, robot: str, name: str, stated: dict[str, str]) -> str:
+        """Return the topic of poses with a name before remapping; empty without messages."""
+        own = f"{robot}/{name}"
+        return next((topic for topic in (stated.get(name, own), own)
+                     if topic in self._candidates and topic in self._messages.decoded), "")
 
     def of_rotors(self, robot: str, name: str, msgtype: str, stated: dict[str, str]) -> str:
         """Return the topic of a name and type whose joints are the rotors of a robot."""
@@ -232,8 +251,9 @@ class _Bag:
 
 
 def _space(topic: str) -> str:
-    """Return what is before the last part of a full name."""
-    return topic.rpartition("/")[0]
+    """Return what is before the last part of a full name, or before `TRUE_POSE`."""
+    own = topic.removesuffix(f"/{TRUE_POSE}")
+    return topic.rpartition("/")[0] if own == topic else own
 
 
 def _last(topic: str) -> str:

@@ -16,7 +16,7 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import length, three_digits
 from sphere_sim.recording.run import Run
-from sphere_sim.report.reported import Reported, floor_metrics
+from sphere_sim.report.reported import Reported, floor_metrics, odometry_metrics
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
@@ -65,7 +65,10 @@ def write_page(
 
 def results(run: Run) -> list[tuple[str, str]]:
     """Return name and value of each result as text; those of the goal only with one."""
-    return [*_motion_results(run), *_momentum_results(run), *_floor_results(run)]
+    return [
+        *_motion_results(run), *_momentum_results(run), *_floor_results(run),
+        *_odometry_results(run),
+    ]
 
 
 def _motion_results(run: Run) -> list[tuple[str, str]]:
@@ -118,6 +121,15 @@ def _floor_results(run: Run) -> list[tuple[str, str]]:
         ("least clearance", length(clearance) if math.isfinite(clearance) else "not recorded"),
         ("touches of what is occupied", _contacts(found)),
     ]
+
+
+def _odometry_results(run: Run) -> list[tuple[str, str]]:
+    """Return the errors of odometry at the end of a run; empty for one without estimates."""
+    found = odometry_metrics(run)
+    if not found:
+        return []
+    distance, angle = found.values()
+    return [("odometry, error at the end", f"{length(distance)}, {three_digits(angle)} deg")]
 
 
 def _contacts(floor: dict[str, float]) -> str:

@@ -23,6 +23,7 @@ from sphere_sim.report.reported import (
     goal_table,
     metrics_of,
     motion_table,
+    odometry_metrics,
     solve_table,
     write_csv,
     write_parquet,
@@ -50,6 +51,10 @@ _OF_MOMENTUM = (
 _OF_FLOOR = (
     analysis.clearance_over_time,
     "Distance between the sphere and what is occupied on the floor; at 0 it touches.",
+)
+_OF_ODOMETRY = (
+    analysis.estimate_errors_over_time,
+    "Error of the pose that odometry estimates: distance, and angle about the vertical.",
 )
 
 
@@ -83,6 +88,7 @@ def write_report(
     for prefix, run in runs.items():
         own = {} if run.momentum.is_zero else {"momentum": _OF_MOMENTUM}
         own |= {} if run.floors.is_free else {"clearance": _OF_FLOOR}
+        own |= {"odometry": _OF_ODOMETRY} if odometry_metrics(run) else {}
         for name, (draw, caption) in {**FIGURES, **own}.items():
             files = save(draw(run), out, f"{prefix}{name}")
             figures.append((run.name, caption, files[1]))
@@ -110,6 +116,7 @@ def _summary(one: Reported) -> dict[str, object]:
         entry["momentum"] = _momentum(run.momentum)
     if found := floor_metrics(one.recording):
         entry["floor"] = _known(found)
+    entry |= odometry_metrics(run)
     goals = [_known(columns) for columns, _ in one.rows()]
     return {**entry, "goals": goals, "notes": list(run.notes)}
 

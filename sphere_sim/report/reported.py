@@ -4,6 +4,7 @@
 
 import dataclasses
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -114,6 +115,18 @@ def floor_metrics(run: Run) -> dict[str, float]:
         "contacts": max(counted.size, begun.size),
         "first_contact_s": float(min((*counted[:1], *begun[:1]), default=float("nan"))),
     }
+
+
+def odometry_metrics(run: Run) -> dict[str, float]:
+    """Return the errors of odometry at the end of a run; empty for one without estimates.
+
+    They are those of `estimate_errors`, but for the heading without its sign and in degrees.
+    """
+    known = run.estimates.errors[np.isfinite(run.estimates.errors[:, 0])].tolist()
+    return {
+        "odometry_position_error_m": known[-1][0],
+        "odometry_heading_error_deg": abs(math.degrees(known[-1][1])),
+    } if known else {}
 
 
 def motion_table(run: Run) -> dict[str, Vector]:

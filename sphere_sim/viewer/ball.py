@@ -102,6 +102,23 @@ class Ball:
         return frame
 
 
+class Estimate:
+    """Translucent shell, a little smaller than the sphere's, at a pose that odometry estimates."""
+
+    def __init__(self, scene: viser.SceneApi, radius: float) -> None:
+        self._radius = radius
+        self._shell = add_shell(scene, "/estimate", 0.97 * radius, colours.ESTIMATE, 0.6)
+        self._label = scene.add_label("/estimate_label", "estimate", anchor="bottom-center")
+
+    def place(self, state: Vector | None) -> None:
+        """Show a state, shape (6,), or nothing."""
+        self._shell.visible = self._label.visible = state is not None
+        if state is not None:
+            self._shell.position = (float(state[0]), float(state[1]), self._radius)
+            self._shell.wxyz = state[2:]
+            self._label.position = (float(state[0]), float(state[1]), 2.2 * self._radius)
+
+
 def _add(
     scene: viser.SceneApi, name: str, mesh: Mesh, colour: Colour, opacity: float | None
 ) -> None:

@@ -36,7 +36,7 @@ _LEGEND = """
 - **black line** on the shell: past contact points
 - **blue line**: path; **light blue**: predicted plan with its knots
 - **pink sphere**: the goal
-- **floor**: a line every {cell:g} m{walls}
+{estimate}- **floor**: a line every {cell:g} m{walls}
 """
 _NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
 _SETUP = "padding-top:6px;font-size:12px;line-height:1.4;color:#666"
@@ -262,7 +262,10 @@ def _set(handle: Any, name: str, value: object) -> None:
 
 def _legend(frame: Frame, cell: float) -> str:
     walls = "; **grey walls**: not to be touched" if frame.floor is not None else ""
-    return _LEGEND.format(cell=cell, walls=walls)
+    seen = "- **yellow sphere**: its pose as odometry estimates it\n"
+    return _LEGEND.format(
+        cell=cell, walls=walls, estimate="" if frame.estimate is None else seen
+    )
 
 
 def _status_bar(frame: Frame, live: bool) -> str:
@@ -281,8 +284,8 @@ def _status_bar(frame: Frame, live: bool) -> str:
 def _number_lines(frame: Frame) -> str:
     """Return time, mode, errors, what is left of the way, and who drives what as HTML.
 
-    There are always four lines, and one more on a floor that is not free everywhere: the widgets
-    below must not move under the mouse pointer.
+    There are always four lines, and one more on a floor that is not free everywhere, and with
+    odometry: the widgets below must not move under the mouse pointer.
     """
     distance = left = "–"
     away, angle = source.errors_of(frame)
@@ -301,5 +304,11 @@ def _number_lines(frame: Frame) -> str:
     if frame.floor is not None:
         clear = f"<b>{frame.clearance:.3f} m</b>" if math.isfinite(frame.clearance) else "–"
         lines.append(f"clearance of the plan {clear}")
+    if frame.estimate is not None:
+        away, angle = frame.estimate_error
+        lines.append(
+            f"odometry off by <b>{1e3 * away:.1f} mm</b>, <b>{math.degrees(angle):.2f}°</b>"
+            if math.isfinite(away) else "odometry off by –"
+        )
     setup = f'<div style="{_SETUP}">{html.escape(frame.setup)}</div>'
     return f'<div style="{_NUMBERS}">{"<br>".join(lines)}{setup}</div>'

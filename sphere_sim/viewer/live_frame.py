@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Newest values of a live robot, updated by its messages; arrival times [s; steady clock]."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.goal import Goal, Orientation
-from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.rotation import nearer_sign
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     HOLDING,
@@ -31,6 +34,8 @@ _PAUSE_TIMEOUT = 0.5
 """Time without a newer stamp after which the robot's clock counts as paused [s]."""
 _MAX_SPEED = 20.0
 """Speed above which a change of position is a restart at another place [m/s]."""
+_TRUE_POSES = 20
+"""True poses that are kept for the estimate of their time."""
 _POSITION_TOLERANCE = 0.1
 """Change of position that is never a restart [m]."""
 
@@ -43,6 +48,8 @@ class LiveFrame:
         """Newest values, without alerts."""
         self._stamp_changed_at = now
         self._pose_at: float | None = None
+        self._true_at, self._estimate_stamp = -np.inf, 0.0
+        self._true: deque[tuple[float, Vector]] = deque(maxlen=_TRUE_POSES)
         self.controller_at: float | None = None
         """Time at which the newest message of the controller arrived [s]."""
         self.refused = ""
@@ -65,6 +72,7 @@ class LiveFrame:
 
         The next frame is not marked as restarted.
         """
+        self._update_error()
         frame, self.frame = self.frame, replace(self.frame, restarted=False)
         alerts = (self._pose_alert(now), self._controller_alert(now, controllers))
         # One that has been cancelled is kept: a status may be older than a new goal.
@@ -80,6 +88,36 @@ class LiveFrame:
         Its stamp [s] is on the robot's clock; for its height [m] see `radius_at`.
         """
         self.refused, self._pose_at = "", now
+        if now - self._true_at > POSE_TIMEOUT:
+            self.update(estimate=None)
+            self._show_pose(stamp, state, height, now)
+            return
+        self._estimate_stamp = stamp
+        self.update(estimate=state)
+
+    def add_true_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
+        """Update the state by a true pose, likewise; other poses are then estimates of it."""
+        if self._true and stamp < self._true[-1][0]:
+            self._true.clear()
+        if self._true:
+            state[QUATERNION] = nearer_sign(state[QUATERNION], self._true[-1][1][QUATERNION])
+        self._true_at = now
+        self._true.append((stamp, state))
+        self._show_pose(stamp, state, height, now)
+
+    def _update_error(self) -> None:
+        """Update the error of the estimate, where there are true poses before and after it.
+
+        Of an estimate and the true pose of its time either may arrive first.
+        """
+        if self.frame.estimate is not None:
+            times, states = map(np.array, zip(*self._true, strict=True))
+            stamp, estimate = np.array([self._estimate_stamp]), self.frame.estimate[None]
+            error = estimate_errors(stamp, estimate, times, states)[0]
+            if np.isfinite(error[0]):
+                self.update(estimate_error=error)
+
+    def _show_pose(self, stamp: float, state: Vector, height: float, now: float) -> None:
         last = self.frame
         if stamp != last.time:
             self._stamp_changed_at = now

@@ -86,6 +86,7 @@ class Replay:
         solve = newest(run.solves.times, moment)
         to_go = self._to_go(solve)
         unknown = np.full(2, np.nan)
+        estimate, estimate_error = run.estimates.at(moment)
         return Frame(
             time=moment,
             state=run.states[at],
@@ -94,6 +95,8 @@ class Replay:
             rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
             rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
             goal=run.goal_at(moment),
+            estimate=estimate,
+            estimate_error=estimate_error,
             floor=run.floors.at(moment),
             clearance=run.floors.clearance_at(moment),
             plan=self._plan_at(moment) if last else np.empty((0, 6)),
@@ -120,7 +123,7 @@ class Replay:
     def _plan_at(self, moment: float) -> Vector:
         """Return the predicted states (n, 6) of the plan in force at its knots.
 
-        They begin at the measured state at its start; empty before the first plan.
+        They begin at the pose that the controller had at its start; empty before the first plan.
         """
         plans = self._run.plans
         index = newest(np.array([plan.start for plan in plans]), moment)
@@ -133,7 +136,8 @@ class Replay:
         times = hold.times[hold.times < hold.start + _LONGEST_PLAN]
         run = self._run
         momentum = np.nan_to_num(run.momentum.at(hold.start)) / run.robot.rotor_axial_inertia
-        pose = run.states[max(0, newest(run.times, hold.start))]
+        estimate, _ = run.estimates.at(hold.start)
+        pose = run.states[max(0, newest(run.times, hold.start))] if estimate is None else estimate
         plan = roll_out(
             np.concatenate((pose, momentum)), hold.speeds[: times.size], np.diff(times),
             self._constants, disturbance=run.momentum.disturbance_at(hold.start),

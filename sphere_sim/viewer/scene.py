@@ -11,7 +11,7 @@ import viser
 
 from sphere_nmpc.model.state import POSITION, Vector, contact_points
 from sphere_sim.viewer import colours
-from sphere_sim.viewer.ball import Ball
+from sphere_sim.viewer.ball import Ball, Estimate
 from sphere_sim.viewer.geometry import arc
 from sphere_sim.viewer.ground import Ground, Trail
 from sphere_sim.viewer.source import DEFAULT_RADIUS, Frame
@@ -51,6 +51,7 @@ class Scene:
         server.initial_camera.fov = _FIELD
         _add_lights(self._scene)
         self._ball: Ball | None = None
+        self._estimate: Estimate | None = None
         self._trace: Trail | None = None
         self.radius = DEFAULT_RADIUS
         """Radius of the sphere [m]; the default one before the first frame with a state."""
@@ -90,6 +91,10 @@ class Scene:
             self._ground.show(frame.state[POSITION], frame.plan)
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)
             self._trace.draw()
+            if self._estimate is None and frame.estimate is not None:
+                self._estimate = Estimate(self._scene, self.radius)
+            if self._estimate is not None:
+                self._estimate.place(frame.estimate)
 
     def shows(self, position: Vector) -> bool:
         """Return whether a new page shows a sphere at a position, shape (2,) [m], as a whole."""
@@ -134,7 +139,7 @@ class Scene:
         self.radius = radius
         if self._trace is not None:
             self._trace.clear()
-        self._ball = self._trace = None
+        self._ball = self._trace = self._estimate = None
         self._set_ground(radius)
         self._look_from_the_start()
 

@@ -59,7 +59,10 @@ class Frame:
     time : float
         Time of the state on the robot's clock [s].
     state, goal : ndarray of shape (6,), or None, and Goal or None
-        State of the sphere, and goal in force.
+        State of the sphere, the true one where that is known, and goal in force.
+    estimate, estimate_error : ndarray of shape (6,), or None, and of shape (2,)
+        Pose that odometry estimates where `state` is the true one, and the newest known error of
+        an estimate at its own time, see `estimate_errors`: distance [m] and heading [rad].
     radius, robot : float and RobotParameters
         Radius of the shell [m]; inertia and limits of the rotors, which are the ranges of plots.
     rotor_speeds, rotor_torques : ndarray, shape (2,)
@@ -92,6 +95,8 @@ class Frame:
     rotor_speeds: Vector = field(default_factory=_unknown)
     rotor_torques: Vector = field(default_factory=_unknown)
     goal: Goal | None = None
+    estimate: Vector | None = None
+    estimate_error: Vector = field(default_factory=_unknown)
     plan: Vector = field(default_factory=lambda: np.empty((0, POSE_SIZE)))
     floor: Grid | None = None
     clearance: float = float("nan")

@@ -109,6 +109,27 @@ def test_walls_are_drawn_where_the_floor_is_occupied_and_go_with_it(shown, scrip
     assert page.console == []
 
 
+def test_estimate_is_a_second_sphere_with_its_error_and_goes_with_it(shown, script) -> None:
+    page, place = shown, np.array([*LOOK_AT[:2], 0.3])
+
+    def yellow() -> float:
+        """Return by how much red and green exceed blue where the estimate is."""
+        red, green, blue = colour(page, place)
+        return float(min(red, green) - blue)
+
+    script.next = [Frame(
+        state=STATE, estimate=make_state(place[:2], (0.5**0.5, 0.0, 0.0, 0.5**0.5)),
+        estimate_error=np.array([0.0032, np.radians(-1.2)]),
+    )]
+    page.wait_for("odometry off by 3.2 mm, -1.20°")
+    scene_of(page)
+    page.wait(lambda: yellow() > 15.0, f"no estimate is drawn: {yellow()}")
+    script.next = [Frame(state=STATE)]
+    page.wait(lambda: "odometry" not in page.text)
+    page.wait(lambda: yellow() < 5.0, "the estimate is still drawn")
+    assert page.console == []
+
+
 def nothing_of_it_ran(page: Browser) -> None:
     assert page.evaluate("window.ran === undefined")
     assert page.evaluate("document.querySelectorAll('iframe, img[src=\"x\"]').length") == 0

@@ -169,6 +169,25 @@ def test_floor_is_shown_until_it_is_free_and_an_invalid_one_leaves_it(graph, sou
     assert newest(source).alerts == ("no pose yet", "no controller yet")
 
 
+def test_pose_is_the_estimate_where_there_is_a_true_one(graph, source) -> None:
+    graph.start(MarkerNode)
+    received = graph.collect(MarkerArray, "markers")
+    poses = [graph.publisher(PoseStamped, name) for name in ("ground_truth/pose", "pose")]
+    estimate = START + 0.25 * np.eye(6)[0]
+
+    def both_are_drawn() -> bool:
+        for publisher, state in zip(poses, (START, estimate), strict=True):
+            publisher.publish(pose_to_ros(state, 10**9, 0.3))
+        return any(it.ns == "estimate" for array in received[-1:] for it in array.markers)
+
+    graph.until(both_are_drawn)
+    graph.until(lambda: both_are_drawn() and newest(source).estimate is not None)
+    frame, markers = newest(source), {it.ns: it.pose.position.x for it in received[-1].markers}
+    assert (markers["sphere"], markers["estimate"]) == (1.0, 1.25)
+    assert (frame.state[0], frame.estimate[0]) == (1.0, 1.25)
+    assert frame.estimate_error.tolist() == [0.25, 0.0]
+
+
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_markers_are_in_the_size_of_the_robot_and_leave_out_what_no_robot_has(graph) -> None:
     graph.start(MarkerNode)

@@ -13,6 +13,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
+from sphere_nmpc.model import rotation
 from sphere_sim.recording.bag_writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -180,6 +181,28 @@ def rolling_messages(length: float = 4.0, plan: str = "") -> Iterator[Entry]:
     if plan:
         solve = status(plan=plan, solve_time_s=0.01, time_s=1)
         yield "/controller/status", STATUS, 10**9, solve
+
+
+def estimated(entries: Iterable[Entry], delay: int = 0) -> Iterator[Entry]:
+    """Yield a run with odometry, whose poses are the true ones of a simulator.
+
+    Each second pose has an estimate, logged after a delay [ns]. It is 3 mm and 4 mm off in x and
+    y, and turned about the vertical too far by a hundredth of a radian a second, from time 0 on.
+    """
+    number = 0
+    for entry in entries:
+        topic, kind, log, message = entry
+        if topic.rpartition("/")[2] != "pose":
+            yield entry
+            continue
+        yield f"{topic.removesuffix('pose')}ground_truth/pose", kind, log, message
+        number += 1
+        if number % 2:
+            at, turn = message.pose.position, message.pose.orientation
+            half = 0.5 * 0.01 * log / 1e9
+            q = rotation.product(np.array((np.cos(half), 0.0, 0.0, np.sin(half))),
+                                 np.array((turn.w, turn.x, turn.y, turn.z)))
+            yield topic, kind, log + delay, pose(log, (at.x + 0.003, at.y + 0.004, *q))
 
 
 def changed(entry: Entry, *, log: int | None = None, stamp: int | None = None,

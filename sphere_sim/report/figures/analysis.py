@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of quantities over time: errors, torques, solves, value, momentum, clearance."""
+"""Figures over time: errors, torques, solves, value, momentum, clearance, odometry."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -154,6 +154,24 @@ def clearance_over_time(run: Run) -> Figure:
         axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
         legend_above(axes)
         _label(axes, "clearance [m]")
+    return figure
+
+
+def estimate_errors_over_time(run: Run) -> Figure:
+    """Draw the errors of the pose that odometry estimates: distance, and angle of the heading."""
+    estimates = run.estimates
+    with styled():
+        figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+        rows = figure.subplots(2, 1, sharex=True)
+        rows[0].set_title("Error of the odometry")
+        for i, (axes, unit, name) in enumerate(zip(
+            rows, (1e3, np.degrees(1.0)), ("position [mm]", "heading [deg]"), strict=True
+        )):
+            axes.plot(estimates.times, unit * estimates.errors[:, i], color=COLOURS[i])
+            axes.axhline(0.0, color=GREY, linewidth=1.0)
+            _label(axes, name)
+        rows[0].label_outer()
+        rows[1].set_xlim(0.0, max(float(run.times[-1]), 1e-3))
     return figure
 
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Marker node: shell with circle Gamma, goal, plan and path for RViz.
 
-subscribes  pose, controller/active_goal, controller/predicted_path
+subscribes  pose, ground_truth/pose, controller/active_goal, controller/predicted_path
 publishes   markers
 """
 
@@ -73,6 +73,8 @@ class MarkerNode(GuardedNode):
         markers[1].pose = markers[0].pose
         if frame.goal is not None:
             markers.append(_shell("goal", frame.goal.pose, radius, colours.GOAL, 0.3))
+        if frame.estimate is not None:
+            markers.append(_shell("estimate", frame.estimate, radius, colours.ESTIMATE, 0.3))
         for marker in markers:
             # With stamp 0 RViz uses the newest transform, and never waits for one of that time.
             marker.header.frame_id, marker.header.stamp = self._frame, Time()

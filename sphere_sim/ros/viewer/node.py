@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Viewer node: shows the topics of a robot in the browser, and sends the requests of users.
 
-subscribes  pose, joint_states, controller/active_goal, controller/predicted_path,
-            controller/floor, controller/status, /diagnostics
+subscribes  pose, ground_truth/pose, joint_states, controller/active_goal,
+            controller/predicted_path, controller/floor, controller/status, /diagnostics
 publishes   goal_pose, goal_point, simulator/push
 calls       controller/enable, controller/cancel, simulator/pause, simulator/reset and parameters,
             where available
@@ -195,10 +195,13 @@ class ViewerNode(GuardedNode):
         if wait > 0.0:
             time.sleep(wait)
         self._due = max(self._due + FRAME_PERIOD, time.monotonic())
+        without = 0
         for _ in range(_MOST_CALLBACKS):
             before = self._source.subscriptions.message_count
             executor.spin_once(timeout_sec=0.0)
-            if self._source.subscriptions.message_count == before:
+            without = without + 1 if self._source.subscriptions.message_count == before else 0
+            # Between two messages of one topic the executor may serve something else.
+            if without == 2:
                 break
         self._viewer.tick()
 

@@ -5,6 +5,7 @@
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -16,11 +17,13 @@ from sensor_msgs.msg import JointState
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.floor.occupancy import InvalidMapError
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.ros import cdr
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_nmpc.ros.graph_monitor import publishers_of
 from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_sim.recording.message_fields import TRUE_POSE
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import Frame
 
@@ -32,8 +35,8 @@ _STATUS = "controller/status"
 class RobotSubscriptions:
     """Subscriptions that keep the newest frame of a robot.
 
-    They are best effort with a depth of 1: messages that arrive between two frames cost nothing,
-    and no publisher waits for the viewer.
+    They are best effort with a depth of 1, and a small one for true poses: messages that arrive
+    between two frames cost nothing, and no publisher waits for the viewer.
 
     With `scene_only` pose, goal and plan are enough: no floor, no rotor speeds and nothing about
     the controller. `on_pose` is called after each pose that was accepted in the given frame.
@@ -50,7 +53,15 @@ class RobotSubscriptions:
         self._diagnostics_prefix = f"{node.get_namespace()}/controller:".lstrip("/")
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(PoseStamped, "pose", self._take_pose, newest, raw=True)
+        for topic, take_pose, depth in (
+            ("pose", self._live.add_pose, 1),
+            # An estimate arrives later than the true pose of its time.
+            (TRUE_POSE, self._live.add_true_pose, 10),
+        ):
+            node.create_subscription(
+                PoseStamped, topic, partial(self._take_pose, take_pose),
+                QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT), raw=True,
+            )
         node.create_subscription(
             PoseStamped, "controller/active_goal", self._take_goal, latched, raw=True
         )
@@ -75,7 +86,7 @@ class RobotSubscriptions:
         controllers = publishers_of(self._node, _STATUS, DiagnosticStatus)
         return self._live.take(time.monotonic(), len(controllers))
 
-    def _take_pose(self, raw: bytes) -> None:
+    def _take_pose(self, take: Callable[[float, Vector, float, float], None], raw: bytes) -> None:
         now = self._arrival()
         pose = cdr.read(raw, cdr.Pose)
         try:
@@ -83,7 +94,7 @@ class RobotSubscriptions:
         except InvalidStateError as error:
             self._live.refused = str(error)
             return
-        self._live.add_pose(cdr.seconds(pose.stamp), state, pose.numbers[2], now)
+        take(cdr.seconds(pose.stamp), state, pose.numbers[2], now)
         self._on_pose()
 
     def _take_joint_states(self, raw: bytes) -> None:

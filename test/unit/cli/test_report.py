@@ -21,11 +21,13 @@ from recorded_bags import (
     changed,
     demand,
     diagnostics,
+    estimated,
     goal_at,
     in_order,
     make,
     momentum_messages,
     pose,
+    run_messages,
     status,
     walled_messages,
     without,
@@ -127,6 +129,16 @@ def test_report_of_one_bag_is_complete_also_outside_of_the_locale(tmp_path) -> N
     assert len(sources) == len(FIGURES)
     assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
     assert "a&amp;büg" in report.page and "http" not in re.sub(r'src="[^"]*"', "", report.page)
+
+
+def test_errors_of_odometry_are_reported(make_report) -> None:
+    report = make_report(estimated(run_messages()))
+    assert (report.out / "odometry.svg").exists()
+    assert "odometry, error at the end 5 mm, 4.58 deg" in " ".join(report.printed.split())
+    found = report.summary["run"]
+    assert found["odometry_position_error_m"] == pytest.approx(5e-3)
+    assert found["odometry_heading_error_deg"] == pytest.approx(np.degrees(0.08))
+    assert "odometry, error at the end" in report.page
 
 
 def test_momentum_and_pushes_are_reported(make_report) -> None:

@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import angle_error, position_error, state_error
 from sphere_sim.evaluation.metrics import (
     angle_errors,
+    estimate_errors,
     measure,
     position_errors,
     settling_index,
@@ -31,6 +33,19 @@ def test_errors_over_time_are_those_of_each_state(of_many, of_one) -> None:
     states[:, 2:] /= np.linalg.norm(states[:, 2:], axis=1, keepdims=True)
     expected = [of_one(state, GOAL) for state in states]
     np.testing.assert_allclose(of_many(states, GOAL), expected, rtol=1e-12)
+
+
+def test_heading_error_is_about_the_vertical_of_the_world_whatever_the_tilt() -> None:
+    rng, times = np.random.default_rng(4), np.array([1.0, 3.0])
+    for q in rng.normal(size=(20, 4)):
+        q /= np.linalg.norm(q)
+        states = np.array([[0.0, 0.0, *q], [0.2, 0.0, *q]])
+        turn = rng.normal(size=3) * 0.5
+        turned = rotation.product(rotation.exponential(turn), q)
+        estimate = np.array([0.13, 0.04, *turned * rng.choice((-1.0, 1.0))])
+        errors = estimate_errors(np.array([2.0, 4.0]), np.array(2 * [estimate]), times, states)
+        np.testing.assert_allclose(errors[0], (0.05, turn[2]), rtol=1e-9)
+        assert np.all(np.isnan(errors[1])), "there is no true pose of that time"
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from recorded_bags import (
     STEP,
     Entry,
     changed,
+    estimated,
     goal_at,
     in_order,
     joints,
@@ -101,6 +102,24 @@ def test_topic_that_the_run_states_has_the_poses(tmp_path, read) -> None:
     for i, (text, count) in enumerate(stated.items()):
         bag = write_own(tmp_path / f"stated_{i}", entries, {"topics:/": text})
         assert len(read_run(bag).times) == count
+
+
+@pytest.mark.parametrize("namespace", ["", "/left"])
+def test_run_with_odometry_is_judged_on_the_true_poses(read, whole, namespace) -> None:
+    run = read(estimated(run_messages(namespace), delay=3_000_000))
+    assert run.metrics() == whole.metrics() and run.states.tolist() == whole.states.tolist()
+    truth, own = f"{namespace}/ground_truth/pose", f"{namespace}/pose"
+    assert run.notes == (f"{truth} has the true poses, on which the run is judged; {own} has "
+                         "estimates",)
+    assert run.estimates.times.tolist() == whole.times[::2].tolist(), "by their stamps"
+    distances, headings = run.estimates.errors.T
+    np.testing.assert_allclose(distances, 5e-3, rtol=1e-9)
+    np.testing.assert_allclose(headings, 0.01 * (5.0 + run.estimates.times), rtol=1e-9)
+    chosen = read(estimated(run_messages(namespace)), pose_topic=own)
+    assert len(chosen.times) == 151 and not chosen.estimates.times.size, "as it was asked for"
+    alone = read(it for it in estimated(run_messages(namespace)) if it[0] != own)
+    assert alone.metrics() == whole.metrics() and not alone.estimates.times.size
+    assert f"{own} is missing; no estimates of the poses" in alone.notes
 
 
 LEFT = [it for it in run_messages("/left") if not it[0].endswith("/pose")]

@@ -15,7 +15,7 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_sim.recording.run import Floors, Momentum, Run, Solves
+from sphere_sim.recording.run import Estimates, Floors, Momentum, Run, Solves
 from sphere_sim.viewer import replay as module
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.replay import Replay
@@ -36,6 +36,28 @@ def test_restart_is_a_step_back_in_time_or_an_impossible_speed(stamp, x, restart
     live.add_pose(stamp, state(x), 0.3, 0.1)
     assert live.take(0.1, 1).restarted is restarted
     assert not live.take(0.1, 1).restarted, "a restart is reported once"
+
+
+def test_poses_are_estimates_while_there_are_true_ones() -> None:
+    live = LiveFrame(0.0)
+    live.add_pose(0.9, state(0.5), 0.3, 0.0)
+    for i, sign in enumerate((1.0, -1.0, 1.0)):  # signs of a quaternion mean nothing
+        true = state(0.1 * i)
+        true[2:] *= sign
+        live.add_true_pose(1.0 + 0.01 * i, true, 0.3, 0.1)
+    half = 0.5 * 0.02
+    live.add_pose(1.005, make_state((0.05, 0.003), (np.cos(half), 0, 0, np.sin(half))), 0.3, 0.2)
+    frame = live.take(0.2, 1)
+    assert frame.time == 1.02 and frame.state[0] == 0.2, "the true one"
+    assert frame.estimate[1] == 0.003
+    np.testing.assert_allclose(frame.estimate_error, (0.003, 0.02), rtol=1e-9)
+    live.add_pose(1.03, state(0.9), 0.3, 0.2)
+    assert live.take(0.2, 1).estimate_error[0] == pytest.approx(0.003), "none of that time"
+    live.add_true_pose(1.03, state(0.8), 0.3, 0.2)
+    np.testing.assert_allclose(live.take(0.2, 1).estimate_error, (0.1, 0.0), atol=1e-12)
+    live.add_pose(2.0, state(0.3), 0.3, 2.1)
+    frame = live.take(2.1, 1)
+    assert frame.state[0] == 0.3 and frame.estimate is None, "no true poses any more"
 
 
 def test_numbers_and_texts_that_cannot_be_shown_are_replaced() -> None:
@@ -155,6 +177,7 @@ DURATION = 20.0
 MOMENTUM = np.array([0.0, 0.15, 0.0])
 GRID = Grid(np.zeros((2, 2), dtype=bool), 1.0)
 ROBOT = RobotParameters()
+ERROR = np.array([0.2, 0.0])
 
 
 @pytest.fixture
@@ -179,6 +202,7 @@ def replay(wall) -> Replay:
         np.ones((len(times), 2)), np.array([1.0]), (Goal(goal),), (hold,), solves,
         Momentum(np.array([4.5]), MOMENTUM[None], (UNDISTURBED,)),
         Floors(np.array([2.0, 8.0]), (GRID, None), np.array([3.0]), np.array([0.125])),
+        estimates=Estimates(np.array([4.9]), states[490:491] + 0.2 * np.eye(6)[0], ERROR[None]),
     )
     return Replay(run)
 
@@ -212,7 +236,9 @@ def test_plan_solve_goal_momentum_and_floor_are_those_at_the_time_of_the_frame(r
     assert len(before.plan) == 0 and np.isnan([before.cost, *before.momentum]).all()
     replay.handle(Seek(5.2))
     frame = replay.frames()[-1]
-    assert frame.plan.shape == (3, 6) and frame.plan[0, 0] == pytest.approx(5.0)
+    assert frame.plan.shape == (3, 6) and frame.plan[0, 0] == pytest.approx(5.1), "the estimate"
+    assert frame.estimate[0] == pytest.approx(5.1) and frame.state[0] == pytest.approx(5.2)
+    assert frame.estimate_error.tolist() == ERROR.tolist() and before.estimate is None
     start = np.concatenate((frame.plan[0], MOMENTUM / ROBOT.rotor_axial_inertia))
     speeds = np.array([[0.0, 0.0], [10.0, 0.0]])
     expected = roll_out(start, speeds, np.array([0.5]), ROBOT.lumped.as_array())

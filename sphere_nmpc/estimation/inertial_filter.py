@@ -109,6 +109,16 @@ class Samples(NamedTuple):
         """Whether all readings can be believed."""
         return all(self.valid)
 
+    @property
+    def duration(self) -> float:
+        """Length of the interval [s]."""
+        return self.times[-1] - self.times[0]
+
+    @property
+    def step(self) -> float:
+        """Mean time between two readings [s]."""
+        return self.duration / (len(self.times) - 1)
+
     def part(self, which: slice) -> "Samples":
         """Return some of the readings in a row."""
         speeds = None if self.speeds is None else self.speeds[which]
@@ -227,7 +237,8 @@ class InertialFilter:
         noise[GYRO_BIAS] = imu.gyro_bias_walk**2 * duration
         noise[MOMENTUM] = numbers.momentum_walk**2 * duration
         by = np.eye(SIZE)
-        turns, density = np.zeros((3, SIZE)), imu.gyro_noise
+        density = imu.gyro_noise
+        turns: Vector = np.zeros((3, SIZE))
         if samples.usable:
             turns[:, GYRO_BIAS], turns[:, GYRO_SCALE] = -whole, -scaled
         elif model is not None:
@@ -322,7 +333,6 @@ class InertialFilter:
             by[:, GYRO_BIAS] = self._turn
             by[:, GYRO_SCALE] = self._turn * (wanted @ self._turn)
         variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
-        variance += (numbers.model_share * float(np.linalg.norm(model))) ** 2
         # Within a step of speeds the mean of two readings is not theirs.
         variance += (self._constants[0] * samples.bend / (len(samples.times) - 1)) ** 2
         noise = variance * np.eye(3)

@@ -9,7 +9,6 @@ instant of its measurement: the filter begins anew there.
 
 import math
 from bisect import bisect_left
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +33,9 @@ from sphere_nmpc.estimation.inertial_filter import (
     replaced,
 )
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
+from sphere_nmpc.estimation.pose_history import Fix, PoseHistory
+from sphere_nmpc.estimation.rest import RestDetector
+from sphere_nmpc.estimation.rotor_speeds import RotorSpeeds
 from sphere_nmpc.estimation.sensor_faults import SensorFaults
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
@@ -42,8 +44,6 @@ from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 
 _LEAST_DEVIATION = 1e-6
 """Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
-_SIGNIFICANT = 4.0
-"""Standard deviations [-] that the mean rate at rest may be from the bias of the gyro."""
 _CONTRADICTED = 6.0
 """Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
 
@@ -75,23 +75,6 @@ class PoseEstimate(NamedTuple):
     twist_covariance: Vector
 
 
-class _Fix(NamedTuple):
-    """A pose that was measured elsewhere, with its covariance in the world frame, (5, 5)."""
-
-    time: float
-    pose: Vector
-    covariance: Vector
-
-
-class _Interval(NamedTuple):
-    """Readings of an interval that has ended, the belief at its start, and fixes at its end."""
-
-    start: Belief
-    samples: Samples
-    fixes: tuple[tuple[_Fix, bool], ...] = ()
-    """Each with whether it replaces the pose rather than being averaged with it."""
-
-
 class Odometry:
     """Estimator of the pose from an IMU in the shell and the rotors' encoders.
 
@@ -119,25 +102,26 @@ class Odometry:
         """Faults of the sensors, and what has happened to the sphere."""
         self.fixes_used = self.fixes_left_out = 0
         """Numbers of fixes since the start."""
-        self._refused = 0
         self.calibration = ""
         """Biases that were found at rest, in one line; "" before."""
         given = as_state(settings.initial_state)
-        self._given = _Fix(-math.inf, given, self._covariance(given, None))
+        self._given = Fix(-math.inf, given, self._covariance(given, None))
         self._begin()
 
     def _begin(self) -> None:
         """Begin anew without readings."""
         self._belief: Belief | None = None
         self._open = Samples([], [], [], [])
-        self._history: deque[_Interval] = deque()
-        self._encoders: list[tuple[float, Vector]] = []
-        self._pending: list[_Fix] = []
+        numbers, settings, robot = self._numbers, self._settings, self._robot
+        self._history = PoseHistory(
+            self._filter, settings.fix_memory, numbers.improbable, numbers.most_outliers
+        )
+        self._speeds = RotorSpeeds(numbers.silence, robot.max_rotor_acceleration)
+        self._rest = RestDetector(self._filter, robot.lumped.input_gain, numbers)
+        self._pending: list[Fix] = []
         self._head: Vector = self._given.pose
         self._rate = np.zeros(3)
         self._was_still = False
-        self._quiet: deque[tuple[float, Vector]] = deque()
-        self._turned_at_rest = False
         self._still_since = math.nan
         self.is_calibrated = False
 
@@ -191,15 +175,15 @@ class Odometry:
         """
         if not (math.isfinite(time) and np.isfinite(speeds).all()):
             raise InvalidInputError("rotor speeds", [time, *speeds], "finite numbers")
-        if self._encoders and time <= self._encoders[-1][0]:
+        if self.faults.rotors(time, speeds, angles):
+            self._speeds.clear()
+        if not self._speeds.append(time, np.asarray(speeds, float)):
             return False
-        self._encoders.append((time, np.asarray(speeds, float)))
-        self.faults.rotors(time, speeds, angles)
         newest = self._open.times[-1] if self._open.times else math.nan
         if time > newest + self._numbers.silence and self.is_calibrated:
             self.faults.see(Kind.IMU_SILENT, time, f"given none for {time - newest:.2f} s")
             rate, force = self._open.rates[-1], self._open.forces[-1]
-            for stamp in [stamp for stamp, _ in self._encoders if stamp > newest]:
+            for stamp in [stamp for stamp in self._speeds.times if stamp > newest]:
                 self._take(stamp, rate, force, False)
             return True
         self._close_if_due()
@@ -213,7 +197,7 @@ class Odometry:
         and heading are taken alone.
         """
         pose = as_state(pose)
-        given = _Fix(time, pose, self._covariance(pose, covariance))
+        given = Fix(time, pose, self._covariance(pose, covariance))
         if self._belief is None:
             self._given = given
             return
@@ -222,7 +206,6 @@ class Odometry:
         spread = math.sqrt(float(np.max(np.diag(self._belief.covariance)[PHI][:2])))
         self._belief = self._placed(self._belief, given, vertical, spread)
         self._history.clear()
-        self._refused = 0
         self.faults.placed()
         self._head = self._belief.pose
 
@@ -234,7 +217,7 @@ class Odometry:
         pose = as_state(pose)
         if not math.isfinite(time):
             raise InvalidStateError("time of the fix", time, "a finite number [s]")
-        fix = _Fix(time, pose, self._covariance(pose, covariance))
+        fix = Fix(time, pose, self._covariance(pose, covariance))
         if self._belief is None:
             return self._left_out("given a fix before the first reading of the IMU")
         newest = self._open.times[-1]
@@ -243,7 +226,7 @@ class Odometry:
                 f"given a stamp {time - newest:.3g} s ahead of the newest reading of the IMU, "
                 "expected the clock of the IMU"
             )
-        oldest = self._history[0].samples.times[0] if self._history else self._open.times[0]
+        oldest = min(self._history.oldest, self._open.times[0])
         if time < max(oldest, newest - self._settings.fix_memory):
             return self._left_out(
                 f"given a fix {newest - time:.3g} s old, expected at most "
@@ -260,8 +243,7 @@ class Odometry:
         if time > newest + self._numbers.silence:
             given = "given none" if newest < 0.0 else f"given none for {time - newest:.2f} s"
             self.faults.see(Kind.IMU_SILENT, time, given)
-        rotors = self._encoders[-1][0] if self._encoders else -math.inf
-        if time > rotors + self._numbers.silence:
+        if not self._speeds.reach(time - self._numbers.silence):
             self.faults.see(Kind.ENCODERS_SILENT, time, "rest and pushes cannot be told")
         self.faults.forget_before(time - self._numbers.remembered)
 
@@ -269,7 +251,7 @@ class Odometry:
         """Discard all readings, as after a jump of the clock; the pose stays."""
         if self._belief is not None:
             world = self._belief.covariance[POSE_ERROR, POSE_ERROR]
-            self._given = _Fix(-math.inf, self._head, world)
+            self._given = Fix(-math.inf, self._head, world)
         self._begin()
 
     def _covariance(self, pose: Vector, covariance: Vector | None) -> Vector:
@@ -317,10 +299,11 @@ class Odometry:
 
     def _rates(self, belief: Belief, samples: Samples, first: int) -> Vector:
         """Return the angular velocities of two readings [rad/s; body frame], shape (2, 3)."""
-        if all(samples.valid[first : first + 2]) or not self._encoders:
+        speeds = self._speeds.newest
+        if all(samples.valid[first : first + 2]) or speeds is None:
             return self._filter.body_rates(belief, np.array(samples.rates[first : first + 2]))
         turn = rotation.matrix(self._head[QUATERNION])
-        rate = self._filter.model_rate(belief, turn, self._encoders[-1][1])[0]
+        rate = self._filter.model_rate(belief, turn, speeds)[0]
         return np.array((rate, rate))
 
     def _is_slow(self, rate: Vector, step: float) -> bool:
@@ -337,8 +320,8 @@ class Odometry:
         # A reading further, as the acceleration is that of the speeds before and after.
         step = (times[end] - times[0]) / end
         late = 0.0 if self._belief is None else float(self._belief.numbers[OFFSET - 5])
-        newest = self._encoders[-1][0] if self._encoders else -math.inf
-        if newest > times[end] + late + 0.9 * step or times[-1] > times[end] + numbers.silence:
+        is_known = self._speeds.reach(times[end] + late + 0.9 * step)
+        if is_known or times[-1] > times[end] + numbers.silence:
             self._close(end)
 
     def _close(self, end: int = -1) -> None:
@@ -349,9 +332,9 @@ class Odometry:
             return
         before, after = whole.part(slice(0, end + 1)), whole.part(slice(end, None))
         belief = self._belief or self._started(before)
-        samples = self._with_speeds(belief, before)
-        samples = samples._replace(still=self._is_still(belief, samples))
-        self._history.append(_Interval(belief, samples))
+        samples = self._speeds.added_to(before, float(belief.numbers[OFFSET - 5]))
+        samples = samples._replace(still=self._rest.is_at_rest(belief, samples))
+        self._history.append(belief, samples)
         self._belief, findings = self._filter.advance(belief, samples)
         self._open, self._was_still = after, samples.still
         self.faults.interval(samples, findings, self._belief)
@@ -361,12 +344,7 @@ class Odometry:
         for fix in due:
             self._use(fix)
         self._follow_readings()
-        oldest = samples.times[-1] - self._settings.fix_memory
-        while len(self._history) > 1 and self._history[1].samples.times[0] < oldest:
-            self._history.popleft()
-        kept = samples.times[0] - 2.0 * self._numbers.interval
-        while len(self._encoders) > 2 and self._encoders[1][0] < kept:
-            del self._encoders[0]
+        self._speeds.forget_before(samples.times[0] - 2.0 * self._numbers.interval)
 
     def _follow_readings(self) -> None:
         """Move the pose by the readings since the last interval."""
@@ -391,7 +369,7 @@ class Odometry:
         vertical = force / max(float(np.linalg.norm(force)), 1e-3)
         return self._placed(belief, self._given, vertical, imu.accelerometer_bias / GRAVITY)
 
-    def _placed(self, belief: Belief, given: _Fix, vertical: Vector, spread: float) -> Belief:
+    def _placed(self, belief: Belief, given: Fix, vertical: Vector, spread: float) -> Belief:
         """Return the belief of a sphere that is put at a given pose.
 
         `vertical` is that in the body frame as gravity shows it, shape (3,), and `spread` its
@@ -423,52 +401,6 @@ class Odometry:
             covariance[2, 2] = covariance[3, 3] = spread**2
         return replaced(belief, pose, covariance)
 
-    def _with_speeds(self, belief: Belief, samples: Samples) -> Samples:
-        """Return an interval with the speeds of the rotors, where they are known."""
-        encoders, late = self._encoders, float(belief.numbers[OFFSET - 5])
-        times = samples.times
-        step = (times[-1] - times[0]) / (len(times) - 1)
-        stamps = [time for time, _ in encoders]
-        until = times[-1] + 0.9 * step + late
-        is_known = bool(stamps) and stamps[0] <= times[0] + late and until <= stamps[-1]
-        if not is_known or self.faults.are_encoders_stuck:
-            return samples._replace(bend=step * self._robot.max_rotor_acceleration)
-        speeds = np.array([speed for _, speed in encoders])
-        wanted = np.array([times[0] - step, *times, times[-1] + step]) + late
-        found = np.column_stack([np.interp(wanted, stamps, column) for column in speeds.T])
-        bend = float(np.linalg.norm(np.diff(found, 2, axis=0)))
-        return samples._replace(speeds=found[1:-1], bend=bend)
-
-    def _is_still(self, belief: Belief, samples: Samples) -> bool:
-        """Return whether rotors and shell are at rest.
-
-        With the rotors at rest the shell may still turn slowly, by a momentum. That shows in the
-        mean over a while, and once it has, a whole such while without it is needed.
-        """
-        speeds, numbers = samples.speeds, self._numbers
-        gain = self._robot.lumped.input_gain
-        is_quiet = speeds is not None and samples.usable
-        if speeds is None or not is_quiet or gain * float(np.max(np.abs(speeds))) > numbers.still:
-            self._quiet.clear()
-            self._turned_at_rest = False
-            return False
-        rates = np.array(samples.rates)
-        duration = samples.times[-1] - samples.times[0]
-        self._quiet.append((duration, duration * 0.5 * (rates[:-1] + rates[1:]).mean(axis=0)))
-        while sum(one for one, _ in self._quiet) > numbers.rest * (1.0 + 1e-6):
-            self._quiet.popleft()
-        whole = sum(one for one, _ in self._quiet)
-        mean = np.sum([turned for _, turned in self._quiet], axis=0) / whole
-        rate = self._filter.body_rates(belief, mean[None])[0]
-        spread = np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS])
-        spread += 3.0 * self._imu.gyro_noise**2 / whole
-        if float(rate @ rate) > _SIGNIFICANT**2 * float(spread):
-            self._turned_at_rest = True
-            self._quiet.clear()
-        elif whole > numbers.rest - duration:
-            self._turned_at_rest = False
-        return not self._turned_at_rest
-
     def _calibrate(self, samples: Samples, belief: Belief) -> None:
         """Note that the sphere rests, and for how long."""
         if self.is_calibrated:
@@ -487,66 +419,14 @@ class Odometry:
                 f"gyro bias [{bias}] deg/s +- {math.degrees(left):.3f}, {rested:.1f} s at rest"
             )
 
-    def _use(self, fix: _Fix) -> Condition | None:
-        """Use a fix at the instant of its measurement, and repeat what follows it."""
-        found = self._split(fix.time)
-        interval, numbers = self._history[found], self._numbers
-        belief, samples = self._end_of(interval), interval.samples
-        # The nearest reading is up to half a sample from it.
-        ahead = samples.times[-1] - fix.time
-        rate = self._filter.body_rates(belief, np.array(samples.rates[-1:]))[0]
-        turned = ahead * (np.zeros(3) if samples.still else rate)
-        pose, _ = self._filter.moved(fix.pose, turned, self._filter.rolled(belief))
-        fix = _Fix(samples.times[-1], pose, fix.covariance)
-        # Several in a row agree with each other rather than with the filter.
-        limit = math.inf if self._refused >= numbers.most_outliers else numbers.improbable
-        _, square = self._filter.with_pose(belief, fix.pose, fix.covariance, limit)
-        if square > limit:
-            self._refused += 1
-            off = float(np.linalg.norm(fix.pose[:2] - belief.pose[:2]))
-            spread = math.sqrt(float(np.trace(belief.covariance[:2, :2] + fix.covariance[:2, :2])))
-            text = (
-                f"given a position {off:.3g} m from that estimated, expected some {spread:.2g} m; "
-                f"after {numbers.most_outliers} of them in a row the next one is believed"
-            )
-            self.faults.see(Kind.FIX_LEFT_OUT, fix.time, text)
-            return self._left_out(text)
-        more = (fix, square > numbers.improbable)
-        self._history[found] = interval._replace(fixes=(*interval.fixes, more))
-        self._refused = 0
+    def _use(self, fix: Fix) -> Condition | None:
+        """Use a fix at the instant of its measurement; return why it is not."""
+        found = self._history.use(fix)
+        if isinstance(found, str):
+            self.faults.see(Kind.FIX_LEFT_OUT, fix.time, found)
+            return self._left_out(found)
         self.fixes_used += 1
         self.faults.placed()
-        for k in range(found, len(self._history)):
-            belief = self._end_of(self._history[k])
-            if k + 1 < len(self._history):
-                self._history[k + 1] = self._history[k + 1]._replace(start=belief)
-        self._belief = belief
+        self._belief = found
         self._follow_readings()
         return None
-
-    def _end_of(self, interval: _Interval) -> Belief:
-        """Return the belief at the end of an interval, with its fixes."""
-        belief, _ = self._filter.advance(interval.start, interval.samples)
-        for fix, replaces in interval.fixes:
-            if replaces:
-                belief = replaced(belief, fix.pose, fix.covariance)
-            else:
-                belief, _ = self._filter.with_pose(belief, fix.pose, fix.covariance, math.inf)
-        return belief
-
-    def _split(self, time: float) -> int:
-        """Return the interval at whose end a time is, but for half a sample; split one for it."""
-        ends = [interval.samples.times[-1] for interval in self._history]
-        k = min(bisect_left(ends, time), len(ends) - 1)
-        start, samples, fixes = self._history[k]
-        times = samples.times
-        nearest = min(range(len(times)), key=lambda j: abs(times[j] - time))
-        if nearest == len(times) - 1 or (nearest == 0 and k == 0):
-            return k
-        if nearest == 0:
-            return k - 1
-        first, second = samples.part(slice(0, nearest + 1)), samples.part(slice(nearest, None))
-        self._history[k] = _Interval(start, first)
-        belief, _ = self._filter.advance(start, first)
-        self._history.insert(k + 1, _Interval(belief, second, fixes))
-        return k

@@ -53,8 +53,6 @@ class OdometryNumbers(EstimatorSettings):
     """Time over which readings are taken together [s]."""
     model_noise: float = 2e-4
     """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
-    model_share: float = 1e-3
-    """Standard deviation of it over the angular velocity [-]."""
     blind: float = 1.0
     """Random walk of the orientation with neither gyro nor rotor speeds [rad/sqrt(s)]."""
     offset: float = 0.02

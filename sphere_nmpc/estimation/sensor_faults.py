@@ -73,11 +73,12 @@ class SensorFaults:
     _is_moving = False
     """Whether the rotors turn the shell, so that readings have to differ."""
 
-    def rotors(self, time: float, speeds: Vector, angles: Vector | None) -> None:
-        """Take speeds [rad/s] and angles [rad] of the rotors."""
+    def rotors(self, time: float, speeds: Vector, angles: Vector | None) -> bool:
+        """Take speeds [rad/s] and angles [rad]; return whether those before cannot be believed."""
         self._seen.pop(Kind.ENCODERS_SILENT, None)
         if angles is None:
-            return
+            return False
+        was_stuck = self.are_encoders_stuck
         if self._angles is None or not np.array_equal(angles, self._angles[1]):
             self._angles, self.are_encoders_stuck = (time, np.array(angles)), False
             self._contradictions = 0
@@ -90,6 +91,7 @@ class SensorFaults:
                 f"given angles that stand still at {np.max(np.abs(speeds)):.3g} rad/s while the "
                 "shell turns otherwise, expected those of the rotors; they are left out",
             )
+        return was_stuck or self.are_encoders_stuck
 
     def interval(self, samples: Samples, findings: Findings, belief: Belief) -> None:
         """Take what an interval has shown."""
@@ -123,7 +125,8 @@ class SensorFaults:
             )
         offset = float(belief.numbers[OFFSET - 5])
         spread = math.sqrt(float(belief.covariance[OFFSET, OFFSET]))
-        if abs(offset) > max(_LATE, _SIGNIFICANT * spread):
+        is_disturbed = Kind.PUSHED in self._seen or Kind.SLIPPED in self._seen
+        if not is_disturbed and abs(offset) > max(_LATE, _SIGNIFICANT * spread):
             self.see(
                 Kind.ENCODERS_LATE, time,
                 f"given stamps of the rotor speeds {1e3 * offset:.1f} ms behind those of the IMU, "

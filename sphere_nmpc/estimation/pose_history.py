@@ -1,0 +1,138 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""History of an odometry, in which a pose is used at the instant of its measurement."""
+
+import math
+from bisect import bisect_left
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from sphere_nmpc.estimation.inertial_filter import (
+    POSE_ERROR,
+    Belief,
+    InertialFilter,
+    Samples,
+    replaced,
+)
+from sphere_nmpc.model.state import Vector
+
+
+class Fix(NamedTuple):
+    """A pose that was measured elsewhere."""
+
+    time: float
+    """[s]"""
+    pose: Vector
+    """Shape (6,)."""
+    covariance: Vector
+    """Of the error in the world frame, shape (5, 5)."""
+    replaces: bool = False
+    """Whether it replaces the pose rather than being averaged with it."""
+
+
+class _Interval(NamedTuple):
+    """Readings of an interval, the belief at its start, and fixes at its end."""
+
+    start: Belief
+    samples: Samples
+    fixes: tuple[Fix, ...] = ()
+
+
+class PoseHistory:
+    """Intervals that have ended, up to `memory` [s] old.
+
+    Parameters
+    ----------
+    inertial_filter : InertialFilter
+        Filter by which intervals are repeated.
+    memory : float
+        Age up to which fixes are used [s].
+    improbable : float
+        Normalised square of an innovation above which a fix is left out.
+    most_outliers : int
+        Fixes in a row that are left out; the next one is believed.
+    """
+
+    def __init__(
+        self, inertial_filter: InertialFilter, memory: float, improbable: float,
+        most_outliers: int,
+    ) -> None:
+        self._filter, self._memory = inertial_filter, memory
+        self._improbable, self._most_outliers = improbable, most_outliers
+        self._intervals: deque[_Interval] = deque()
+        self._refused = 0
+
+    @property
+    def oldest(self) -> float:
+        """Start of the history [s]; inf without any."""
+        return self._intervals[0].samples.times[0] if self._intervals else math.inf
+
+    def append(self, start: Belief, samples: Samples) -> None:
+        """Take an interval that has ended, and forget what is too old."""
+        self._intervals.append(_Interval(start, samples))
+        oldest = samples.times[-1] - self._memory
+        while len(self._intervals) > 1 and self._intervals[1].samples.times[0] < oldest:
+            self._intervals.popleft()
+
+    def clear(self) -> None:
+        """Forget all, as the pose is another one now."""
+        self._intervals.clear()
+        self._refused = 0
+
+    def use(self, fix: Fix) -> Belief | str:
+        """Return the belief at the end with a fix, or in one line why it is left out."""
+        found = self._split(fix.time)
+        interval = self._intervals[found]
+        belief, samples = self._end_of(interval), interval.samples
+        # The nearest reading is up to half a sample from it.
+        rate = self._filter.body_rates(belief, np.array(samples.rates[-1:]))[0]
+        turned = 0.0 * rate if samples.still else (samples.times[-1] - fix.time) * rate
+        pose, _ = self._filter.moved(fix.pose, turned, self._filter.rolled(belief))
+        _, square = self._filter.with_pose(belief, pose, fix.covariance, math.inf)
+        is_off = square > self._improbable
+        # Several in a row agree with each other rather than with the filter.
+        if is_off and self._refused < self._most_outliers:
+            self._refused += 1
+            spread = fix.covariance + belief.covariance[POSE_ERROR, POSE_ERROR]
+            return (
+                f"given a position {math.dist(pose[:2], belief.pose[:2]):.3g} m from that "
+                f"estimated, expected some {math.sqrt(float(np.trace(spread[:2, :2]))):.2g} m; "
+                f"after {self._most_outliers} of them in a row the next one is believed"
+            )
+        self._refused = 0
+        more = fix._replace(pose=pose, replaces=is_off)
+        self._intervals[found] = interval._replace(fixes=(*interval.fixes, more))
+        belief = interval.start
+        for k in range(found, len(self._intervals)):
+            self._intervals[k] = self._intervals[k]._replace(start=belief)
+            belief = self._end_of(self._intervals[k])
+        return belief
+
+    def _end_of(self, interval: _Interval) -> Belief:
+        """Return the belief at the end of an interval, with its fixes."""
+        belief, _ = self._filter.advance(interval.start, interval.samples)
+        for fix in interval.fixes:
+            if fix.replaces:
+                belief = replaced(belief, fix.pose, fix.covariance)
+            else:
+                belief, _ = self._filter.with_pose(belief, fix.pose, fix.covariance, math.inf)
+        return belief
+
+    def _split(self, time: float) -> int:
+        """Return the interval that ends at the reading nearest to a time; one is split for it."""
+        ends = [interval.samples.times[-1] for interval in self._intervals]
+        k = min(bisect_left(ends, time), len(ends) - 1)
+        start, samples, fixes = self._intervals[k]
+        times = samples.times
+        nearest = min(range(len(times)), key=lambda j: abs(times[j] - time))
+        if nearest == len(times) - 1 or (nearest == 0 and k == 0):
+            return k
+        if nearest == 0:
+            return k - 1
+        first, second = samples.part(slice(0, nearest + 1)), samples.part(slice(nearest, None))
+        belief, _ = self._filter.advance(start, first)
+        self._intervals[k] = _Interval(start, first)
+        self._intervals.insert(k + 1, _Interval(belief, second, fixes))
+        return k

@@ -1,0 +1,78 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured speeds of the rotors, at the instants of the readings of an IMU."""
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from sphere_nmpc.estimation.inertial_filter import Samples
+from sphere_nmpc.model.state import Vector
+
+
+class RotorSpeeds:
+    """Buffer of measured speeds, in the order of their stamps.
+
+    Parameters
+    ----------
+    longest_gap : float
+        Time without speeds across which they are not interpolated [s].
+    acceleration : float
+        Largest acceleration of the rotors [rad/s^2].
+    """
+
+    def __init__(self, longest_gap: float, acceleration: float) -> None:
+        self._longest_gap, self._acceleration = longest_gap, acceleration
+        self.times: list[float] = []
+        """Stamps [s]."""
+        self._speeds: list[Vector] = []
+
+    @property
+    def newest(self) -> Vector | None:
+        """The newest speeds [rad/s], shape (2,); None without any."""
+        return self._speeds[-1] if self._speeds else None
+
+    def append(self, time: float, speeds: Vector) -> bool:
+        """Take speeds [rad/s] measured at `time` [s]; False where they are not newer."""
+        if self.times and time <= self.times[-1]:
+            return False
+        self.times.append(time)
+        self._speeds.append(speeds)
+        return True
+
+    def clear(self) -> None:
+        """Discard all speeds."""
+        self.times.clear()
+        self._speeds.clear()
+
+    def forget_before(self, time: float) -> None:
+        """Discard speeds that are not needed from a time [s] on."""
+        number = bisect_right(self.times, time) - 1
+        if number > 0:
+            del self.times[:number], self._speeds[:number]
+
+    def reach(self, time: float) -> bool:
+        """Return whether there are speeds up to a time [s]."""
+        return bool(self.times) and self.times[-1] >= time
+
+    def added_to(self, samples: Samples, late: float) -> Samples:
+        """Return an interval with the speeds, whose stamps are `late` [s], where they are known.
+
+        Where they are not, their slope may have changed by all that it can.
+        """
+        times, step = samples.times, samples.step
+        wanted = np.array([times[0] - step, *times, times[-1] + step]) + late
+        first = max(0, bisect_right(self.times, times[0] + late) - 1)
+        last = bisect_left(self.times, wanted[-1] - 0.1 * step)
+        stamps = self.times[first : last + 1]
+        is_known = (
+            last < len(self.times) and stamps[0] <= times[0] + late
+            and max(np.diff(stamps), default=0.0) < self._longest_gap
+        )
+        if not is_known:
+            return samples._replace(bend=step * self._acceleration)
+        found = np.column_stack([
+            np.interp(wanted, self.times, column) for column in np.transpose(self._speeds)
+        ])
+        bend = float(np.linalg.norm(np.diff(found, 2, axis=0)))
+        return samples._replace(speeds=found[1:-1], bend=bend)

@@ -58,7 +58,8 @@ class InputMonitor:
     def __init__(self, node: Node, fault_log: FaultLog, source: Source) -> None:
         self._fault_log = fault_log
         self._source = source
-        self._graph = GraphMonitor(node, fault_log)
+        self.graph = GraphMonitor(node, fault_log)
+        """Monitor of the graph, for further faults."""
         self.topic = node.resolve_topic_name(source.topic)
         """Full name of the topic of the source."""
         self._clock_topic = node.resolve_topic_name("/clock")
@@ -76,7 +77,7 @@ class InputMonitor:
     @property
     def faults(self) -> tuple[Condition, ...]:
         """The present faults, the worst first."""
-        return self._graph.faults
+        return self.graph.faults
 
     def received(self, age: float, stamp: int) -> None:
         """Record a message with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
@@ -89,7 +90,7 @@ class InputMonitor:
 
         `timeout` is the largest age of a message [s], `further` what is found elsewhere.
         """
-        wall, graph = time.monotonic(), self._graph
+        wall, graph = time.monotonic(), self.graph
         before, self.time = self.time, math.nan if now is None else now
         self.stands_still = self.time == before
         if now is not None and not self.stands_still:

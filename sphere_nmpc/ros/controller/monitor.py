@@ -56,7 +56,7 @@ class ControllerMonitor(InputMonitor):
         if inexact is not None:
             found.append(inexact)
         found += self._missed_samples(time.monotonic(), *instants)
-        senders = self._graph.publishers(self._command_topic, JointTrajectory)
+        senders = self.graph.publishers(self._command_topic, JointTrajectory)
         found += several_publishers(
             self._command_topic, senders, "the rotors then do not follow one plan"
         )

@@ -80,6 +80,7 @@ class Lagging:
         self.rotor_speeds: Vector = np.zeros(2)
         self.rotor_torques: Vector = np.zeros(2)
         self._reference: Vector = np.zeros(2)
+        self._change: Vector = np.zeros(3)
 
     def displace(self, state: Vector) -> None:
         """Put the sphere elsewhere, keeping rotors and momentum."""
@@ -93,6 +94,15 @@ class Lagging:
         """Apply an impulse at the centre, which is above the contact point by the radius."""
         horizontal = np.append(np.asarray(impulse, dtype=float), 0.0)
         self.momentum = self.momentum + np.cross([0.0, 0.0, self._radius], horizontal)
+
+    def imu(self, position: Vector, turn: Vector) -> Vector:
+        """Return angular velocity and specific force of a sensor in the shell, in its axes."""
+        upright, rate = matrix(self.state[QUATERNION]), self.body_rate
+        # The angular acceleration is the change of rate over the last step.
+        east, north, _ = upright @ self._change
+        force = upright.T @ (self._radius * np.array([north, -east, 0.0]) - self._gravity)
+        force += np.cross(self._change, position) + np.cross(rate, np.cross(rate, position))
+        return np.concatenate((turn.T @ rate, turn.T @ force))
 
     def tilt(self, slope: float, direction: float) -> None:
         """Incline the floor."""
@@ -121,8 +131,8 @@ class Lagging:
         # A step that leads into a wall is not made.
         into_wall = self.contact.is_into_wall(before[:2].tolist(), after[:2].tolist())
         self.state = before if into_wall else after
-        turning = (self.body_rate - rate_before)[:2] + change
-        self.rotor_torques = self._rotor * turning / step
+        self._change = (self.body_rate - rate_before) / step
+        self.rotor_torques = self._rotor * (self._change[:2] + change / step)
 
     def _rate(self) -> Vector:
         """Return the rate of the state."""

@@ -21,6 +21,7 @@ from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.study.conditions import OF_NODES
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.robot_description import make_urdf
 
@@ -39,6 +40,7 @@ PARTS: dict[str, tuple[tuple[str, str, Any], ...]] = {
         ("", "Walls, in both plants.", OccupancySettings()),
         ("", "Push by the service `~/push`.", PushSettings()),
         ("", "Slope, centre of mass and friction, in both plants.", DisturbanceSettings()),
+        ("imu", "IMU in the shell, also in the robot's description.", SimulatedImuSettings()),
         ("rigid_body", "The plant `rigid_body`.", RigidBodySettings()),
     ),
     "controller": (

@@ -61,6 +61,27 @@ class Pose(NamedTuple):
         return x, y, qw, qx, qy, qz
 
 
+class Imu(NamedTuple):
+    """Orientation, angular velocity [rad/s] and specific force [m/s^2], each with its covariance.
+
+    The 37 numbers are the quaternion xyzw, and of each of the three the covariance row by row.
+    """
+
+    stamp: int
+    frame: str
+    numbers: tuple[float, ...]
+
+    @property
+    def rate(self) -> tuple[float, ...]:
+        """Angular velocity [rad/s; in the frame]."""
+        return self.numbers[13:16]
+
+    @property
+    def force(self) -> tuple[float, ...]:
+        """Specific force [m/s^2; in the frame]."""
+        return self.numbers[25:28]
+
+
 class Joints(NamedTuple):
     """Angles [rad], speeds [rad/s] and torques [N m] of joints."""
 
@@ -194,6 +215,7 @@ _STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
 _LAYOUTS: dict[Any, tuple[Any, ...]] = {
     Clock: (_TIME,),
     Pose: (*_HEADER, "7d"),
+    Imu: (*_HEADER, "37d"),
     Joints: (*_HEADER, [_TEXT], ["d"], ["d"], ["d"]),
     Trajectory: (*_HEADER, [_TEXT], [(["d"], ["d"], ["d"], ["d"], _TIME)]),
     Status: _STATUS,
@@ -276,9 +298,22 @@ def pose_message(
     `stamp` is its time [ns], `shell_radius` the height of the centre [m].
     """
     x, y, qw, qx, qy, qz = state.tolist()
-    numbers = struct.pack("<7d", x, y, shell_radius, qx, qy, qz, qw)
-    head = clock_message(stamp) + _text(frame)
-    return head + bytes((_BEGIN - len(head)) % 8) + numbers
+    return _stamped(stamp, frame, x, y, shell_radius, qx, qy, qz, qw)
+
+
+def imu_message(
+    rate: Vector, force: Vector, deviations: Vector, stamp: int, frame: str
+) -> bytes:
+    """Return an Imu message without orientation, whose covariance then begins with -1.
+
+    `rate` is the angular velocity [rad/s], `force` the specific force [m/s^2], both of shape (3,)
+    in the frame, `deviations` those of their white noise about each axis, shape (2,).
+    """
+    turning, pulling = ((square, 0.0, 0.0, 0.0) * 2 + (square,) for square in deviations**2)
+    return _stamped(
+        stamp, frame, 0.0, 0.0, 0.0, 1.0, -1.0, *(0.0,) * 8, *rate.tolist(), *turning,
+        *force.tolist(), *pulling,
+    )
 
 
 def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
@@ -398,6 +433,12 @@ def _fields(raw: bytes, at: int, layout: list[_Field]) -> tuple[tuple[Any, ...],
                 value.append(record if len(record) > 1 else record[0])
         values.append(value)
     return tuple(values), at
+
+
+def _stamped(stamp: int, frame: str, *numbers: float) -> bytes:
+    """Return the message of a header and numbers in double precision."""
+    head = clock_message(stamp) + _text(frame)
+    return head + bytes((_BEGIN - len(head)) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
 
 
 @cache

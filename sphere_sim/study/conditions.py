@@ -18,7 +18,7 @@ from sphere_sim.world.plant.factory import settings_class
 from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 _SCENARIO_SETTINGS = ("initial_state", "seed")
-OF_NODES = {"simulator": ("pose_rate", "command_timeout")}
+OF_NODES = {"simulator": ("pose_rate", "pose_source", "command_timeout")}
 """Settings that have no effect on a run of a study, by kind."""
 
 

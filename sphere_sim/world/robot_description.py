@@ -10,7 +10,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
 from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_mechanism
 from sphere_sim.world.plant.rigid_body.mjcf import IMU, POSE
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -70,13 +72,15 @@ def mujoco_hardware(model: Path) -> Hardware:
     )
 
 
-def make_urdf(robot: RobotParameters, hardware: Hardware = MOCK) -> str:
+def make_urdf(
+    robot: RobotParameters, hardware: Hardware = MOCK, imu: ImuSettings | None = None
+) -> str:
     """Return the model of the robot as URDF.
 
     `base_link` is the body frame at the centre of the shell and has no mass of its own, as
     some tools accept no inertia at the root; the shell and the counterweights are fixed
-    to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes. An IMU is fixed in its
-    origin.
+    to it, `rotor_1_joint` and `rotor_2_joint` turn about its x and y axes. The IMU is
+    mounted as in `imu`, by default in its origin.
     """
     limits = RigidBodySettings().for_robot(robot)
     mechanism = build_mechanism(robot, limits.balanced)
@@ -103,7 +107,8 @@ def make_urdf(robot: RobotParameters, hardware: Hardware = MOCK) -> str:
         _add_shape(link, "visual", weight.name, (0.0, 0.0), "sphere", radius=radius)
         _add_joint(root, weight.name, weight.position, "fixed")
     add_element(root, "link", name=IMU)
-    _add_joint(root, IMU, np.zeros(3), "fixed")
+    mounting = ImuSettings() if imu is None else imu
+    _add_joint(root, IMU, np.array(mounting.position), "fixed", _fixed_angles(mounting.turn))
     _add_control(root, hardware, robot.max_rotor_speed)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
@@ -183,13 +188,26 @@ def _add_shape(
 
 
 def _add_joint(
-    root: ElementTree.Element, child: str, position: np.ndarray, kind: str
+    root: ElementTree.Element, child: str, position: Vector, kind: str,
+    angles: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> ElementTree.Element:
     joint = add_element(root, "joint", name=f"{child}_joint", type=kind)
     add_element(joint, "parent", link="base_link")
     add_element(joint, "child", link=child)
-    add_element(joint, "origin", xyz=_text(*position), rpy=_text(0.0, 0.0, 0.0))
+    add_element(joint, "origin", xyz=_text(*position), rpy=_text(*angles))
     return joint
+
+
+def _fixed_angles(turn: Vector) -> tuple[float, ...]:
+    """Return the angles about the fixed axes x, y and z [rad] of a matrix, shape (3, 3)."""
+    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
+    roll = math.atan2(turn[2, 1], turn[2, 2])
+    # From roll on, which leaves this defined where the pitch is a right angle.
+    sine, cosine = math.sin(roll), math.cos(roll)
+    yaw = math.atan2(
+        sine * turn[0, 2] - cosine * turn[0, 1], cosine * turn[1, 1] - sine * turn[1, 2]
+    )
+    return roll, pitch, yaw
 
 
 def _text(*numbers: float) -> str:

@@ -18,6 +18,10 @@ PLANTS = EntryTable(
 """All plants by name, which are the choices of the parameter ``plant``."""
 
 
+POSE_SOURCES = ("sensor", "odometry")
+"""Where poses come from."""
+
+
 @dataclass(frozen=True)
 class SimulatorSettings:
     """Settings of the simulator: plant, start, drives, noise and pose sensor."""
@@ -29,6 +33,11 @@ class SimulatorSettings:
     initial_state: tuple[float, ...] = quantity(
         (2.0, -3.0, 0.03, 0.454, 0.88, 0.1363), "m, -",
         "Start at rest: x, y, then the quaternion w, x, y, z", minimum=-1e6, maximum=1e6,
+    )
+    pose_source: str = quantity(
+        "sensor", "-",
+        "Who publishes pose, odom and the transform: the simulator's sensor, or an odometry node",
+        choices=POSE_SOURCES,
     )
     pose_rate: float = quantity(
         100.0, "Hz", "Rate of pose, odometry and joint states", minimum=1.0, maximum=2000.0
@@ -67,6 +76,11 @@ class SimulatorSettings:
 
     def __post_init__(self) -> None:
         validate(self)
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether poses come from an odometry node, which needs the IMU."""
+        return self.pose_source == "odometry"
 
     @property
     def is_sensor_plain(self) -> bool:

@@ -1,18 +1,20 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator: a plant with its drives, noise and pose sensor."""
+"""Simulator: a plant with its drives, noise and sensors."""
 
-from collections import deque
+from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, POSITION, QUATERNION, Vector, as_state
+from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, as_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.drives import CommandFollower
+from sphere_sim.world.imu_sensor import ImuReading, ImuSensor, SimulatedImuSettings
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.plant.factory import make_plant
+from sphere_sim.world.pose_sensor import PoseSensor
+from sphere_sim.world.sampled_sensor import SampledSensor
 from sphere_sim.world.settings import SimulatorSettings
 
 _LONGEST_STEP = 10_000_000
@@ -23,11 +25,12 @@ class Simulator:
     """Simulation of a plant on a clock of whole nanoseconds, with ROS and without.
 
     `robot` has the true parameters. The plant is by default the one named in `settings`, with
-    default settings of its own.
+    default settings of its own. Without settings of an IMU there is none.
     """
 
     def __init__(
-        self, settings: SimulatorSettings, robot: RobotParameters, plant: Plant | None = None
+        self, settings: SimulatorSettings, robot: RobotParameters, plant: Plant | None = None,
+        imu: SimulatedImuSettings | None = None,
     ) -> None:
         self._settings = settings
         start = as_state(settings.initial_state)
@@ -38,6 +41,9 @@ class Simulator:
         self._noise_period = round(settings.noise_period * NANOSECONDS)
         self._process = np.random.default_rng([settings.seed, 0])
         self._sensor = PoseSensor(settings)
+        self.imu = None if imu is None else ImuSensor(imu, settings.seed)
+        """The IMU, which can be turned off; None if there is none."""
+        self._sensors: list[SampledSensor[Any]] = [self._sensor, *([self.imu] if self.imu else [])]
         self.speed_reference: Vector = np.zeros(INPUT_SIZE)
         """Reference of the rotor speeds [rad/s], shape (2,); the rotors may lag behind it."""
         self.now = 0
@@ -75,8 +81,8 @@ class Simulator:
         while self.now < then:
             noise = (self.now // self._noise_period + 1) * self._noise_period
             grid = (self.now // _LONGEST_STEP + 1) * _LONGEST_STEP
-            sample = self._sensor.next_instant(self.now)
-            stop = min(then, noise, grid if sample is None else min(grid, sample))
+            samples = [sensor.next_instant(self.now) for sensor in self._sensors if sensor.is_on]
+            stop = min(then, noise, grid, *samples)
             knots = self.follower.knots_between(self.time, stop / NANOSECONDS)
             if knots:
                 stop = min(stop, max(self.now + 1, round(knots[0] * NANOSECONDS)))
@@ -98,6 +104,10 @@ class Simulator:
             self._sensor.sample(self.now, self.plant.state)
         return self._sensor.delivered(self.now)
 
+    def imu_readings(self) -> list[ImuReading]:
+        """Return the readings that the IMU has delivered by now, each once."""
+        return [] if self.imu is None else self.imu.delivered(self.now)
+
     def measured_state(self) -> Vector:
         """Return the present state, shape (6,), with new measurement noise at each call."""
         return self._sensor.measured(self.plant.state)
@@ -105,65 +115,11 @@ class Simulator:
     def _sample(self) -> None:
         if self._sensor.is_due(self.now):
             self._sensor.sample(self.now, self.plant.state)
+        if self.imu is not None and self.imu.is_due(self.now):
+            self.imu.sample(self.now, self.plant)
 
     def _disturb(self) -> None:
         """Add the disturbance W(k) of Eq. (43) and normalise the quaternion."""
         state = self.plant.state + self._settings.process_noise * self._process.normal(size=6)
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         self.plant.displace(state)
-
-
-class PoseSensor:
-    """Sensor that measures poses at sampling instants and delivers them after a latency.
-
-    Times are simulated time [ns]. The measurements depend on the seed and the settings alone, not
-    on the times at which poses are read, unless the sensor is plain: it measures at each of these.
-    """
-
-    def __init__(self, settings: SimulatorSettings) -> None:
-        self._settings = settings
-        self._period = round(NANOSECONDS / (settings.sensor_rate or settings.pose_rate))
-        # Streams 0 and 2 belong to the process noise and to the plant's parameters.
-        self._noise = np.random.default_rng([settings.seed, 1])
-        self._dropouts = np.random.default_rng([settings.seed, 3])
-        self._pending: deque[tuple[int, int, Vector]] = deque()
-
-    def change(self, settings: SimulatorSettings) -> None:
-        """Take over settings that may change while running: noise, latency, drop-outs."""
-        self._settings = settings
-
-    def next_instant(self, now: int) -> int | None:
-        """Return the first sampling instant after `now`; None for a plain sensor."""
-        if self._settings.is_sensor_plain:
-            return None
-        return (now // self._period + 1) * self._period
-
-    def is_due(self, now: int) -> bool:
-        """Return whether `now` is a sampling instant of a sensor that is not plain."""
-        return not self._settings.is_sensor_plain and now % self._period == 0
-
-    def sample(self, now: int, state: Vector) -> None:
-        """Measure the true state, shape (6,), at this instant."""
-        # With noise for lost poses too, so that a loss does not change the noise of the others.
-        measured = self.measured(state)
-        if self._dropouts.random() >= self._settings.sensor_dropout:
-            latency = round(self._settings.sensor_latency * NANOSECONDS)
-            self._pending.append((now + latency, now, measured))
-
-    def delivered(self, now: int) -> list[tuple[int, Vector]]:
-        """Return stamps and poses that are due by now, each once, in order."""
-        due_poses = [(stamp, pose) for due, stamp, pose in self._pending if due <= now]
-        self._pending = deque(entry for entry in self._pending if entry[0] > now)
-        return due_poses
-
-    def measured(self, state: Vector) -> Vector:
-        """Return the state, shape (6,), with new noise."""
-        settings, measured = self._settings, state.copy()
-        if settings.position_noise > 0.0:
-            measured[POSITION] += settings.position_noise * self._noise.normal(size=2)
-        if settings.orientation_noise > 0.0:
-            # To first order a rotation by the vector 2 e; the norm is restored below.
-            half = 0.5 * settings.orientation_noise * self._noise.normal(size=3)
-            turn = rotation.product(measured[QUATERNION], np.concatenate(([1.0], half)))
-            measured[QUATERNION] = turn / np.linalg.norm(turn)
-        return measured

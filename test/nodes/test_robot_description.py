@@ -7,11 +7,15 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
+TURN = [0.8, -0.36, 0.48, 0.0]
+"""Orientation of the IMU, wxyz."""
 ROBOT = ("--ros-args", "--params-file", str(ROOT / "examples" / "own_robot.yaml"))
 
 
@@ -24,13 +28,20 @@ def described(*words: str) -> subprocess.CompletedProcess:
 def test_mujoco_gets_the_robot_of_the_file_by_the_path_in_its_description(tmp_path) -> None:
     mujoco = pytest.importorskip("mujoco")
     file = tmp_path / "sphere.xml"
-    done = described("--mjcf", str(file), *ROBOT)
+    mounting = ("-p", "imu.position:=[0.01, 0.02, -0.03]", "-p", f"imu.orientation:={TURN}")
+    done = described("--mjcf", str(file), *ROBOT, *mounting)
     assert done.returncode == 0, done.stderr
     root = ElementTree.fromstring(done.stdout.partition("\n")[2])
     hardware = root.find("ros2_control/hardware")
     assert hardware.find("plugin").text == "mujoco_ros2_control/MujocoSystemInterface"
     model = mujoco.MjModel.from_xml_path(hardware.find("param[@name='mujoco_model']").text)
     assert model.geom("shell").size[0] == 0.15 and model.nu == 2
+    site, origin = model.site("imu"), root.find("joint[@name='imu_joint']/origin")
+    np.testing.assert_allclose(site.quat, TURN)
+    angles = np.array(origin.get("rpy").split(), dtype=float)
+    turned = Rotation.from_euler("xyz", angles).as_quat()[[3, 0, 1, 2]]
+    np.testing.assert_allclose(turned, TURN, atol=1e-8)
+    assert site.pos.tolist() == [0.01, 0.02, -0.03] and origin.get("xyz") == "0.01 0.02 -0.03"
 
 
 def test_robot_has_the_plugin_and_its_parameters_that_are_named() -> None:

@@ -28,8 +28,8 @@ RULES = (
     ("services", "reply", "service"), ("services", "request", "client"),
 )
 """Blocks and attributes of the policy, and the name of the same in the ROS graph."""
-SOMETIMES = {"/tf", "/tf_static"}
-"""Published only where tf2_msgs is installed and a subscription exists."""
+SOMETIMES = {"/tf", "/tf_static", "/ground_truth/pose", "/ground_truth/odom"}
+"""Published only where tf2_msgs is installed and a subscription exists, or with odometry."""
 OF_ACTION = {
     "publisher": ("feedback", "status"), "service": ("send_goal", "cancel_goal", "get_result"),
 }

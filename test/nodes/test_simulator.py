@@ -15,7 +15,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -235,6 +235,42 @@ def test_transform_is_published_if_there_is_a_subscriber(graph, monkeypatch) -> 
     publisher.publish(Simulator(SimulatorSettings(), RobotParameters()))
     graph.until(lambda: received)
     assert (received[0].header.frame_id, received[0].child_frame_id) == ("world", "base_link")
+
+
+def stamps(messages) -> list[int]:
+    return [stamp_from_ros(message.header.stamp) for message in messages]
+
+
+def test_imu_is_read_while_somebody_receives_it(graph) -> None:
+    node = graph.start(SimulatorNode, **{"imu.rate": 200.0, "imu.accelerometer_noise": 0.01})
+    poses = graph.collect(PoseStamped, "pose")
+    graph.until(lambda: len(poses) > 3)
+    assert not node.simulator.imu.is_on
+    received = graph.collect(Imu, "imu")
+    graph.until(lambda: len(received) > 10)
+    assert set(np.diff(stamps(received))) == {5 * MS}, "between the instants of pose_rate, too"
+    imu = received[0]
+    assert imu.header.frame_id == "imu" and imu.orientation_covariance[0] == -1.0
+    assert imu.linear_acceleration_covariance[0] == pytest.approx(0.01**2 * 200.0)
+    felt = [imu.linear_acceleration.x, imu.linear_acceleration.y, imu.linear_acceleration.z]
+    # Five deviations of the bias.
+    assert np.linalg.norm(felt) == pytest.approx(9.81, abs=0.75)
+
+
+def test_with_odometry_the_true_pose_has_another_name_and_encoders_come_with_the_imu(
+    graph,
+) -> None:
+    given = {"pose_source": "odometry", "imu.rate": 50.0, "imu.latency": 0.02}
+    graph.start(SimulatorNode, **given)
+    poses = graph.collect(PoseStamped, "ground_truth/pose")
+    imu, joints = graph.collect(Imu, "imu"), graph.collect(JointState, "joint_states")
+    graph.until(lambda: poses and len(imu) > 10 and len(joints) > 10)
+    assert graph.probe.count_publishers("/pose") == graph.probe.count_publishers("/odom") == 0
+    assert graph.probe.count_publishers("/tf") == 0
+    both = {*stamps(imu)} & {*stamps(joints)}
+    assert len(both) > 5 and {*np.diff(stamps(joints))} == {20 * MS}
+    with pytest.raises(InvalidParameterError, match=r"imu\.latency: given 0\.02, expected 0 with"):
+        graph.start(SimulatorNode, **given, lockstep=True)
 
 
 IN_ROOM = {"initial_state": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], "real_time_factor": 5.0,

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node: a sphere with two rotors, its drives, its sensor and its clock.
 
-publishes   pose, odom, joint_states, /clock unless it runs on the system clock, /diagnostics,
-            ~/pushed
+publishes   pose and odom, with pose_source odometry as ground_truth/pose and ground_truth/odom,
+            imu, joint_states, /clock unless it runs on the system clock, /diagnostics, ~/pushed
 subscribes  rotor_trajectory, rotor_commands, control_period, map, ~/push, in lockstep the
             controller's status
 services    ~/reset, ~/pause, ~/step, ~/push
@@ -27,7 +27,6 @@ from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.cdr import BODY_FRAME
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
@@ -41,6 +40,7 @@ from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.drives import beyond
+from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.factory import make_plant, settings_class
 from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.simulator import Simulator
@@ -79,6 +79,12 @@ class SimulatorNode(GuardedNode):
         declare = self.parameters.declare
         declared = declare(SimulatorNodeSettings(), on_change=self._change)
         settings = self._settings = declared.settings
+        imu = declare(SimulatedImuSettings(), "imu").settings
+        if settings.lockstep and settings.has_odometry and imu.latency:
+            raise InvalidParameterError(
+                "imu.latency", imu.latency, "0 with lockstep: true and pose_source: odometry, "
+                "where the command for a sampling instant would never arrive",
+            )
         robot = self._robot = declare(RobotParameters(), "robot").settings
         # Those of all plants of this package, as a file may have them for another choice.
         own = {
@@ -101,7 +107,7 @@ class SimulatorNode(GuardedNode):
         start = as_state(settings.initial_state)
         walls = self._floor_receiver.floor
         plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
-        self.simulator = Simulator(settings, robot, plant)
+        self.simulator = Simulator(settings, robot, plant, imu)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
             settings.real_time_factor, settings.lockstep, settings.lockstep_timeout,
@@ -116,8 +122,8 @@ class SimulatorNode(GuardedNode):
         self._controller_found = self._period_told = False
         prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
         self._state_publisher = StatePublisher(
-            self, robot.shell_radius, prefix + BODY_FRAME, frame,
-            clocked=not settings.is_on_system_clock,
+            self, robot.shell_radius, prefix, frame, clocked=not settings.is_on_system_clock,
+            has_odometry=settings.has_odometry,
         )
         self._receiver = CommandReceiver(
             self, self.simulator, settings, robot.max_rotor_speed, self._fault_log,

@@ -14,6 +14,7 @@ from pathlib import Path
 import rclpy
 
 from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
+from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.startup import start_ros
@@ -40,6 +41,7 @@ def main(args: Sequence[str]) -> int:
         )
         declare = Parameters(node).declare
         robot = declare(RobotParameters(), "robot").settings
+        imu = declare(ImuSettings(), "imu").settings
         if given.mjcf is not None:
             body = declare(RigidBodySettings(), "rigid_body").settings
             if body.floor_roughness:
@@ -48,14 +50,16 @@ def main(args: Sequence[str]) -> int:
                     "0: the model in a file has a level floor",
                 )
             disturbances = declare(DisturbanceSettings()).settings
-            model = make_mjcf(robot, body.for_robot(robot), disturbances, for_ros2_control=True)
+            model = make_mjcf(
+                robot, body.for_robot(robot), disturbances, for_ros2_control=True, imu=imu
+            )
             write_atomically(given.mjcf, model)
     except (SphereNmpcError, ValueError, RuntimeError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     finally:
         rclpy.try_shutdown()
-    print(make_urdf(robot, _hardware(given)), end="")
+    print(make_urdf(robot, _hardware(given), imu), end="")
     return 0
 
 

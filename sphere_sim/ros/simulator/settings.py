@@ -23,7 +23,7 @@ class SimulatorNodeSettings(SimulatorSettings):
     )
     frame_prefix: str = quantity(
         "", "-",
-        "Prefix of base_link in frame names; if empty, the node's namespace",
+        "Prefix of base_link and imu in frame names; if empty, the node's namespace",
     )
     real_time_factor: float = quantity(
         1.0, "-", "Simulated over wall time; 0 is as fast as possible",

@@ -3,6 +3,7 @@
 """Publisher of the simulated robot's state and of the simulated clock."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -10,16 +11,20 @@ from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import (
     BODY_FRAME,
     WORLD_FRAME,
     clock_message,
+    imu_message,
     joint_states_message,
     pose_message,
 )
 from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros, transform_from_pose
+from sphere_sim.world.imu_sensor import ImuReading
+from sphere_sim.world.plant.rigid_body.mjcf import IMU
 from sphere_sim.world.simulator import Simulator
 
 try:
@@ -33,20 +38,29 @@ _DEPTH = 1000
 
 
 class StatePublisher:
-    """Publish pose, odometry, joint states and, last of all, the clock unless not `clocked`."""
+    """Publish pose, odometry, IMU, joint states and, last of all, the clock unless not `clocked`.
+
+    `prefix` is that of the frames of body and IMU. With `has_odometry` another node publishes
+    pose, odometry and transform: those of here are the ground truth, and the joint states are
+    those that were read together with the IMU.
+    """
 
     def __init__(
-        self, node: Node, shell_radius: float, body_frame: str = BODY_FRAME,
-        world_frame: str = WORLD_FRAME, clocked: bool = True,
+        self, node: Node, shell_radius: float, prefix: str = "", world_frame: str = WORLD_FRAME,
+        clocked: bool = True, has_odometry: bool = False,
     ) -> None:
         self._radius = shell_radius
-        self._body, self._world = body_frame, world_frame
+        self._body, self._imu_frame, self._world = prefix + BODY_FRAME, prefix + IMU, world_frame
+        self._has_odometry = has_odometry
+        under = "ground_truth/" if has_odometry else ""
         self.epoch = 0
         """Stamp of simulated time 0 [ns]."""
-        self._pose = node.create_publisher(PoseStamped, "pose", _DEPTH)
-        self._odometry = node.create_publisher(Odometry, "odom", _DEPTH)
+        self._pose = node.create_publisher(PoseStamped, f"{under}pose", _DEPTH)
+        self._odometry = node.create_publisher(Odometry, f"{under}odom", _DEPTH)
+        self._imu = node.create_publisher(Imu, "imu", _DEPTH)
         self._joints = node.create_publisher(JointState, "joint_states", _DEPTH)
-        self._transforms = TFMessage and node.create_publisher(TFMessage, "/tf", 100)
+        has_transforms = TFMessage and not has_odometry
+        self._transforms = has_transforms and node.create_publisher(TFMessage, "/tf", 100)
         self._clock = node.create_publisher(Clock, "/clock", _DEPTH) if clocked else None
         self._last: list[tuple[Any, Any]] = []
 
@@ -67,11 +81,11 @@ class StatePublisher:
                 self._world,
             )
             self._last.append((self._odometry, odometry))
-        if self._joints.get_subscription_count() > 0:
-            joints = joint_states_message(
-                plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now
-            )
-            self._last.append((self._joints, joints))
+        if simulator.imu is not None:
+            simulator.imu.is_on = self._has_odometry or self._imu.get_subscription_count() > 0
+            self._add_readings(simulator.imu_readings(), simulator.imu.settings.deviations)
+        if not self._has_odometry and self._joints.get_subscription_count() > 0:
+            self._add_joints(plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now)
         if self._transforms and self._transforms.get_subscription_count() > 0:
             pose = pose_to_ros(measured, now, self._radius, self._world)
             transform = transform_from_pose(pose, self._body)
@@ -80,6 +94,18 @@ class StatePublisher:
         if self._clock is not None:
             self._last.append((self._clock, clock_message(now)))
         self.repeat()
+
+    def _add_readings(self, readings: Sequence[ImuReading], deviations: Vector) -> None:
+        for reading in readings:
+            stamp = self.epoch + reading.stamp
+            message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
+            self._last.append((self._imu, message))
+            if self._has_odometry:
+                self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
+
+    def _add_joints(self, angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> None:
+        joints = joint_states_message(angles, speeds, torques, stamp)
+        self._last.append((self._joints, joints))
 
     def flush(self, timeout: float) -> None:
         """Wait until each reliable subscriber has received all messages, at most `timeout` [s].

@@ -44,24 +44,27 @@ class CheckedPlant:
             raise self._error("contact", f"given {type(contact).__name__}, expected Contact")
         self.contact = contact
 
+    def imu(self, position: Vector, turn: Vector) -> Vector:
+        """Return what an IMU measures, see `Measured`; not every plant of another package can."""
+        if not callable(getattr(self._plant, "imu", None)):
+            raise self._error("imu", "given no such method, expected one, as an IMU is read")
+        return self._quantity("imu", 6, lambda: self._plant.imu(position, turn))
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         size = SIZES.get(name)
         if size is not None:
-            return self._quantity(name, size)
+            return self._quantity(name, size, lambda: getattr(self._plant, name))
 
         def call(*arguments: Any) -> None:
             self._tried(name, lambda: getattr(self._plant, name)(*arguments))
-            self._quantity("state", SIZES["state"])
+            _ = self.state
 
         return call
 
-    def _quantity(self, name: str, size: int) -> Vector:
-        def read() -> Vector:
-            return np.array(getattr(self._plant, name), dtype=float)
-
-        found: Vector = self._tried(name, read)
+    def _quantity(self, name: str, size: int, read: Callable[[], Any]) -> Vector:
+        found: Vector = self._tried(name, lambda: np.array(read(), dtype=float))
         if found.shape != (size,) or not np.isfinite(found).all():
             given = f"{found.tolist()}" if found.size <= size else f"the shape {found.shape}"
             raise self._error(name, f"given {given}, expected {size} finite numbers")

@@ -20,7 +20,19 @@ class PlantError(EndingError):
     """A plant failed, or has given a quantity that cannot be used."""
 
 
-class Plant(Protocol):
+class Measured(Protocol):
+    """What of a plant is used where there is an IMU alone; a plant may lack it elsewhere."""
+
+    def imu(self, position: Vector, turn: Vector) -> Vector:
+        """Return what an ideal IMU measures at the present instant, shape (6,).
+
+        That is the angular velocity [rad/s] and the specific force [m/s^2], the acceleration less
+        that of free fall, in the axes of a sensor at `position` in the shell [m; body frame],
+        shape (3,). `turn`, shape (3, 3), takes vectors in these axes to the body frame.
+        """
+
+
+class Plant(Measured, Protocol):
     """Rolling sphere whose rotors follow a speed reference that ramps over each step.
 
     It is made with the arguments ``(robot, state, disturbances=..., walls=...)``, and with

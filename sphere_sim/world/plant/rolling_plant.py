@@ -140,6 +140,22 @@ class RollingPlant:
         """Motor torques over the last step [N m], shape (2,) (Eq. 45)."""
         if not any(self._acceleration) and self._is_equilibrium:
             return np.zeros(2)  # as in `advance`: most rows of a study are at rest
+        shell = self._body_acceleration()
+        torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
+        return torques
+
+    def imu(self, position: Vector, turn: Vector) -> Vector:
+        """Return rate [rad/s] and specific force [m/s^2] of a sensor in the shell, shape (6,)."""
+        rate, to_world = self.body_rate, matrix(self.state[2:])
+        change = np.zeros(3) if self._is_stopped else self._body_acceleration()
+        east, north, _ = to_world @ change
+        centre = self._radius * np.array([north, -east, 0.0])
+        force = to_world.T @ (centre - self._gravity) + np.cross(change, position)
+        force += np.cross(rate, np.cross(rate, position))
+        return np.concatenate((turn.T @ rate, turn.T @ force))
+
+    def _body_acceleration(self) -> Vector:
+        """Return the angular acceleration of the shell [rad/s^2; body frame], shape (3,)."""
         turn, up = matrix(self.state[2:]), np.array([0.0, 0.0, 1.0])
         rate = np.array(self._world_rate(self._y, *self._speeds))
         inertia = turn @ np.diag(self._inertia) @ turn.T
@@ -158,9 +174,8 @@ class RollingPlant:
             (self._radius + 2.0 * c[2]) * np.eye(3) - np.outer(c, up) - np.outer(up, c)
             - self._radius * np.outer(up, up)
         )
-        shell = turn.T @ np.linalg.solve(about_contact, change)
-        torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
-        return torques
+        found: Vector = turn.T @ np.linalg.solve(about_contact, change)
+        return found
 
     @property
     def _is_equilibrium(self) -> bool:

@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Vector3
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -75,6 +75,26 @@ def test_pose_is_the_one_of_rclpy_both_ways(state, stamp, frame) -> None:
         else:
             with pytest.raises(InvalidStateError, match=f"frame: given '{frame}', .* 'world'"):
                 cdr.pose_of_message(given_as)
+
+
+@given(
+    values=st.tuples(*[st.floats(-100.0, 100.0)] * 6), stamp=STAMPS,
+    frame=st.sampled_from(["imu", "second/imu"]),
+)
+def test_imu_is_the_one_of_rclpy_both_ways_and_has_no_orientation(values, stamp, frame) -> None:
+    rate, force = np.array(values[:3]), np.array(values[3:])
+    written = cdr.imu_message(rate, force, np.array([0.1, 0.2]), stamp, frame)
+    message = Imu(
+        angular_velocity=Vector3(x=rate[0], y=rate[1], z=rate[2]),
+        angular_velocity_covariance=np.diag([0.1**2] * 3).ravel(),
+        linear_acceleration=Vector3(x=force[0], y=force[1], z=force[2]),
+        linear_acceleration_covariance=np.diag([0.2**2] * 3).ravel(),
+        orientation_covariance=[-1.0] + [0.0] * 8,
+    )
+    message.header.stamp, message.header.frame_id = ms.stamp_to_ros(stamp), frame
+    assert deserialize_message(written, Imu) == message
+    read = cdr.read(serialize_message(message), cdr.Imu)
+    assert (read.stamp, read.frame, *read.rate, *read.force) == (stamp, frame, *values)
 
 
 @given(hold=holds(), epoch=EPOCHS, swapped=st.booleans())

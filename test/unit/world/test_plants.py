@@ -251,7 +251,7 @@ def test_reset_plant_moves_as_a_new_one_and_is_not_changed_by_reading() -> None:
     plant.reset(start)
     for there in speeds:
         plant.advance(there, 0.5)
-        readings(plant), plant.slip
+        readings(plant), plant.slip, plant.imu(PUSH[[0, 1, 1]], np.eye(3))
         # About the contact point; rotors at 100 rad/s have 0.8 N m s.
         np.testing.assert_allclose(plant.momentum, 0.0, atol=8e-6)
     np.testing.assert_array_equal(readings(plant), before)

@@ -15,6 +15,7 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
+from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.contract import PlantError, PlantSettings
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -63,6 +64,9 @@ class Own(RollingPlant):
         if self.fails("nan"):
             found[1] = np.nan
         return 2.0 * found if self.fails("quaternion") else found
+
+    def imu(self, position, turn):
+        return super().imu(position, turn) * (np.nan if self.fails("imu") else 1.0)
 
     @property
     def rotor_torques(self):
@@ -117,6 +121,20 @@ def test_run_with_a_plant_that_fails_is_recorded_with_the_reason(kind: str) -> N
     record = run_scenario(conditions, PAPER_CASES[1])
     assert record.results["crash"].startswith(f"PlantError: {FAULTS[kind]}")
     assert not record.results["settled"] and not record.times.size
+
+
+@pytest.mark.parametrize(("lacks", "words"), [
+    (True, "plant own: imu: given no such method"), (False, "plant own: imu: given [nan"),
+])
+def test_imu_is_needed_where_it_is_read_alone(monkeypatch, lacks: bool, words: str) -> None:
+    if lacks:
+        monkeypatch.setattr(Own, "imu", None)
+    settings = SimulatorSettings(plant="own", initial_state=tuple(START))
+    failing("imu")
+    Simulator(settings, ROBOT).advance_to(100_000_000)
+    with pytest.raises(PlantError) as caught:
+        Simulator(settings, ROBOT, imu=SimulatedImuSettings())
+    assert str(caught.value).startswith(words)
 
 
 def test_push_that_a_plant_does_not_have_ends_the_run_with_the_reason() -> None:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -21,10 +22,13 @@ from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.walls import Walls
 
 IMU, POSE = "imu", "pose"
-"""Sensors for ros2_control: one in the shell, whose frame is the body's, and the pose of it."""
+"""Sensors: an IMU fixed in the shell, and the pose of the body."""
+_OF_IMU = {"objtype": "site", "objname": IMU}
+_OF_BODY = {"objtype": "xbody", "objname": "base_link"}
 SENSORS = {
-    f"{IMU}_quat": "framequat", f"{IMU}_gyro": "gyro", f"{IMU}_accel": "accelerometer",
-    f"{POSE}_pos": "framepos", f"{POSE}_quat": "framequat",
+    f"{IMU}_quat": ("framequat", _OF_IMU), f"{IMU}_gyro": ("gyro", {"site": IMU}),
+    f"{IMU}_accel": ("accelerometer", {"site": IMU}),
+    f"{POSE}_pos": ("framepos", _OF_BODY), f"{POSE}_quat": ("framequat", _OF_BODY),
 }
 """MuJoCo's sensors that they consist of, by the names that mujoco_ros2_control looks for."""
 
@@ -91,6 +95,7 @@ def make_floor(settings: RigidBodySettings) -> RoughFloor | None:
 def make_mjcf(
     robot: RobotParameters, settings: RigidBodySettings, disturbances: DisturbanceSettings,
     floor: RoughFloor | None = None, walls: Walls | None = None, for_ros2_control: bool = False,
+    imu: ImuSettings | None = None,
 ) -> str:
     """Return the model of the robot on its floor.
 
@@ -100,7 +105,7 @@ def make_mjcf(
     gravity, so that x and y are coordinates in it.
 
     Of an actuator the control is the slope of the speed reference [rad/s^2], or, for ros2_control,
-    the reference itself [rad/s]; the model then has the sensors of `SENSORS` too.
+    the reference itself [rad/s]. The sensors are those of `SENSORS`, the IMU mounted as in `imu`.
     """
     root = ElementTree.Element("mujoco", model="sphere")
     add_element(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -128,7 +133,7 @@ def make_mjcf(
         add_element(world, "geom", name="floor", type="hfield", hfield="floor")
     if walls is not None:
         _add_walls(world, walls, robot.shell_radius)
-    _add_robot(world, robot, settings, disturbances)
+    _add_robot(world, robot, settings, disturbances, ImuSettings() if imu is None else imu)
     actuators = add_element(root, "actuator")
     gain = servo_gain(robot, settings)
     # With an integrator the activation is the speed reference, so that ramps are exact.
@@ -140,11 +145,9 @@ def make_mjcf(
             biasprm=_text(0.0, 0.0, -gain),
             forcerange=_text(-settings.torque_limit, settings.torque_limit),
         )
-    if for_ros2_control:
-        sensors = add_element(root, "sensor")
-        for name, kind in SENSORS.items():
-            frame = {"objtype": "site", "objname": IMU} if "frame" in kind else {"site": IMU}
-            add_element(sensors, kind, name=name, **frame)
+    sensors = add_element(root, "sensor")
+    for name, (kind, frame) in SENSORS.items():
+        add_element(sensors, kind, name=name, **frame)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -175,7 +178,7 @@ def _add_walls(world: ElementTree.Element, walls: Walls, radius: float) -> None:
 
 def _add_robot(
     world: ElementTree.Element, robot: RobotParameters, settings: RigidBodySettings,
-    disturbances: DisturbanceSettings,
+    disturbances: DisturbanceSettings, imu: ImuSettings,
 ) -> None:
     mechanism = build_mechanism(robot, settings.balanced, disturbances.mass_offset)
     base = add_element(world, "body", name="base_link", pos=_text(0.0, 0.0, robot.shell_radius))
@@ -190,7 +193,7 @@ def _add_robot(
         solref=_text(settings.contact_time_constant, 1.0),
         solimp=_text(settings.contact_impedance, settings.contact_impedance, 0.001),
     )
-    add_element(base, "site", name=IMU)
+    add_element(base, "site", name=IMU, pos=_text(*imu.position), quat=_text(*imu.orientation))
     for i, rotor in enumerate(mechanism.rotors):
         body = add_element(base, "body", name=rotor.name, pos=_text(*rotor.position))
         axis = _text(*np.eye(3)[i])

@@ -13,13 +13,17 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.contract import PlantError
-from sphere_sim.world.plant.rigid_body.mjcf import make_floor, make_mjcf, servo_gain
+from sphere_sim.world.plant.rigid_body.mjcf import IMU, make_floor, make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.walls import Contact, Walls
 
 # Layout of MuJoCo's generalised coordinates and velocities.
 _CENTRE, _TURN, _ANGLES = slice(0, 3), slice(3, 7), slice(7, 9)
 _VELOCITY, _RATE, _SPEEDS = slice(0, 3), slice(3, 6), slice(6, 8)
+
+
+_TOUCH = 1e-12
+"""Distance from the floor at which the IMU takes the shell to touch it [m]: rounding."""
 
 
 class MissingEngineError(SphereNmpcError, ImportError):
@@ -78,6 +82,10 @@ class RigidBodyPlant:
         model = self._mj.MjModel.from_xml_string(mjcf)
         if self._floor is not None:
             model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
+        # Steps do without the sensors, which would take 3 % of their time.
+        model.opt.disableflags |= self._mj.mjtDisableBit.mjDSBL_SENSOR
+        # MuJoCo skips the mounting of a site that is compiled in the frame of its body.
+        model.site_sameframe[:] = self._mj.mjtSameFrame.mjSAMEFRAME_NONE
         data, workspace = self._mj.MjData(model), self._mj.MjData(model)
         self._model, self._data, self._workspace = model, data, workspace
 
@@ -173,6 +181,25 @@ class RigidBodyPlant:
         """Torques of the drives [N m], shape (2,), at the present instant."""
         unlimited = self._gain * (self._data.act - self._data.qvel[_SPEEDS])
         return np.clip(unlimited, -self._settings.torque_limit, self._settings.torque_limit)
+
+    def imu(self, position: Vector, turn: Vector) -> Vector:
+        """Return rate [rad/s] and specific force [m/s^2] of a sensor in the shell, shape (6,)."""
+        model, read = self._model, self._workspace
+        site = model.site(IMU).id
+        model.site_pos[site] = position
+        self._mj.mju_mat2Quat(model.site_quat[site], np.ravel(turn))
+        # With other data, so that reading quantities does not change the simulation.
+        for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
+            getattr(read, name)[:] = getattr(self._data, name)
+        shell, flags = model.geom("shell").id, model.opt.disableflags
+        model.opt.disableflags = flags & ~int(self._mj.mjtDisableBit.mjDSBL_SENSOR)
+        # A sphere that has been put on the floor touches it, but is not deep enough for a contact.
+        model.geom_margin[shell] = _TOUCH
+        self._mj.mj_forward(model, read)
+        model.opt.disableflags, model.geom_margin[shell] = flags, 0.0
+        return np.concatenate(
+            [read.sensor(f"{IMU}_{kind}").data for kind in ("gyro", "accel")]
+        )
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step of `duration` [s] in which the reference ramps to `speeds_end` [rad/s].

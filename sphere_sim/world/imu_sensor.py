@@ -1,0 +1,107 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated IMU in the shell, with its errors, read together with the encoders of the rotors."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS, quantity
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.sampled_sensor import SampledSensor
+
+_RATE, _FORCE = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True)
+class SimulatedImuSettings(ImuSettings):
+    """Settings of the simulated IMU: those of any, and when it is read."""
+
+    rate: float = quantity(
+        100.0, "Hz", "Rate of readings of IMU and encoders", minimum=10.0, maximum=2000.0
+    )
+    latency: float = quantity(
+        0.0, "s", "Delay of readings; their stamp is the time of measurement", minimum=0.0,
+        maximum=10.0,
+    )
+
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviations of the white noise of a reading [rad/s, m/s^2], shape (2,)."""
+        densities = np.array([self.gyro_noise, self.accelerometer_noise])
+        return densities * math.sqrt(self.rate)
+
+
+class ImuReading(NamedTuple):
+    """What IMU and encoders measured at an instant; the encoders are exact."""
+
+    stamp: int
+    """Simulated time [ns], below 0 before the start."""
+    rate: Vector
+    """Angular velocity [rad/s; axes of the sensor], shape (3,)."""
+    force: Vector
+    """Specific force [m/s^2; axes of the sensor], shape (3,)."""
+    angles: Vector
+    """Angles of the rotors [rad], shape (2,)."""
+    speeds: Vector
+    """Speeds of the rotors relative to the shell [rad/s], shape (2,)."""
+    torques: Vector
+    """Motor torques [N m], shape (2,)."""
+
+
+class ImuSensor(SampledSensor[ImuReading]):
+    """Simulated IMU; its errors depend on the settings and the seed alone."""
+
+    def __init__(self, settings: SimulatedImuSettings, seed: int) -> None:
+        super().__init__(settings.rate, settings.latency)
+        self.settings = settings
+        self._seed = seed
+        self._position, self._turn = np.array(settings.position), settings.turn
+        # Streams 0 to 6 belong to the simulator and to studies.
+        self._random = np.random.default_rng([seed, 7])
+        self._gyro_bias = settings.gyro_bias * self._random.normal(size=3)
+        self._accelerometer_bias = settings.accelerometer_bias * self._random.normal(size=3)
+        self._scale = 1.0 + settings.gyro_scale * self._random.normal(size=3)
+        self._start_bias = self._gyro_bias
+        self._step = settings.gyro_bias_walk * math.sqrt(self.period / NANOSECONDS)
+
+    def sample(self, now: int, plant: Plant) -> None:
+        """Read the plant at this instant."""
+        drawn = self._random.normal(size=9)
+        true = plant.imu(self._position, self._turn)
+        self.deliver(now, self._reading(now, true, self._gyro_bias, drawn, plant))
+        self._gyro_bias = self._gyro_bias + self._step * drawn[6:]
+
+    def at_rest(self, duration: float, plant: Plant) -> list[ImuReading]:
+        """Return the readings of the last `duration` [s] before time 0, in order.
+
+        The plant has to be at its start, where the sphere has been at rest before: all readings
+        are those of what it measures there, with errors of their own. On a slope that is the
+        specific force of a sphere that begins to roll.
+        """
+        number = math.ceil(round(duration * NANOSECONDS) / self.period)
+        # Backwards, so that the last readings are the same for any duration.
+        drawn = np.random.default_rng([self._seed, 7, 1]).normal(size=(number, 9))
+        biases = self._start_bias - self._step * np.cumsum(drawn[:, 6:], axis=0)
+        true = plant.imu(self._position, self._turn)
+        return [
+            self._reading(-self.period * (i + 1), true, biases[i], drawn[i], plant)
+            for i in reversed(range(number))
+        ]
+
+    def _reading(
+        self, stamp: int, true: Vector, gyro_bias: Vector, drawn: Vector, plant: Plant
+    ) -> ImuReading:
+        """Return what is measured of rate and force `true`, shape (6,), with noise as `drawn`."""
+        settings, (gyro, accelerometer) = self.settings, self.settings.deviations
+        rate = self._scale * true[_RATE] + gyro_bias + gyro * drawn[_RATE]
+        force = true[_FORCE] + self._accelerometer_bias + accelerometer * drawn[_FORCE]
+        return ImuReading(
+            stamp, np.clip(rate, -settings.gyro_range, settings.gyro_range),
+            np.clip(force, -settings.accelerometer_range, settings.accelerometer_range),
+            plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques,
+        )

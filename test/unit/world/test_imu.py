@@ -1,0 +1,198 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated IMU: what plants measure, its errors and its times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.rotation import matrix, random_quaternion
+from sphere_nmpc.model.state import Vector, make_state
+from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.imu_sensor import ImuReading, SimulatedImuSettings
+from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
+from sphere_sim.world.plant.rolling_plant import RollingPlant
+from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.simulator import Simulator
+
+pytest.importorskip("mujoco")
+
+ROBOT = RobotParameters()
+TURNED = make_state((1.0, -2.0), (0.4, -0.3, 0.7, 0.5))
+UPRIGHT = make_state((1.0, -2.0), (0.8, 0.0, 0.0, 0.6))
+LEVEL = DisturbanceSettings()
+SLOPE = DisturbanceSettings(slope=0.05, slope_direction=2.0)
+UNEVEN = DisturbanceSettings(slope=0.02, slope_direction=-1.0, mass_offset_x=2e-3)
+STIFF = RigidBodySettings(
+    drive_bandwidth=1e6, drive_feedforward=True, torque_limit=1e3, friction=2.0, time_step=5e-4,
+    contact_time_constant=1e-3,
+)
+AT = np.array([0.1, -0.2, 0.05])
+TURN = matrix(random_quaternion(np.random.default_rng(8)))
+EXACT = SimulatedImuSettings(
+    position=tuple(AT), gyro_noise=0.0, gyro_bias=0.0, gyro_bias_walk=0.0, gyro_scale=0.0,
+    accelerometer_noise=0.0, accelerometer_bias=0.0,
+)
+MS, SECOND = 1_000_000, 1_000_000_000
+
+
+def differentiated(states: list[Vector], h: float, disturbances: DisturbanceSettings) -> Vector:
+    """Return rate and specific force of the second of three states that are `h` [s] apart."""
+    turns = [matrix(state[2:]) for state in states]
+    places = [
+        np.append(state[:2], ROBOT.shell_radius) + turn @ AT
+        for state, turn in zip(states, turns, strict=True)
+    ]
+    acceleration = (places[0] - 2.0 * places[1] + places[2]) / h**2
+    spin = turns[1].T @ (turns[2] - turns[0]) / (2.0 * h)
+    rate = 0.5 * (spin - spin.T)[[2, 0, 1], [1, 2, 0]]
+    force = turns[1].T @ (acceleration - np.array(disturbances.gravity))
+    return np.concatenate((TURN.T @ rate, TURN.T @ force))
+
+
+@pytest.mark.parametrize("disturbances", [LEVEL, UNEVEN])
+def test_imu_of_both_plants_is_the_motion_of_its_place_seen_from_outside(disturbances) -> None:
+    plants = (
+        RollingPlant(ROBOT, TURNED, disturbances),
+        RigidBodyPlant(ROBOT, TURNED, STIFF, disturbances),
+    )
+    for plant in plants:
+        plant.push([0.3, -0.4])
+    rng, h, before = np.random.default_rng(5), 1e-3, np.zeros(2)
+    for there in rng.uniform(-60.0, 60.0, (8, 2)):
+        slope = (there - before) / 0.3
+        read = []
+        for plant in plants:
+            for begin, end in ((0.0, 0.1), (0.1, 0.2)):
+                plant.advance(before + end * slope, end - begin)
+            states = [plant.state]
+            for k in range(2):
+                plant.advance(before + (0.2 + h * (k + 1)) * slope, h)
+                states.append(plant.state)
+                read += [plant.imu(AT, TURN)] if k == 0 else []
+            seen = differentiated(states, h, disturbances)
+            # Of the differences, by squares of h; 4e-5 was seen.
+            np.testing.assert_allclose(read[-1], seen, atol=2e-4)
+            plant.advance(there, 0.1 - 2.0 * h)
+        # The poses differ by up to 2 mrad, as in the test that they agree; gravity by as much.
+        np.testing.assert_allclose(*read, atol=2e-3 * GRAVITY)
+        before = there
+
+
+# MuJoCo's contact gives way by the rest of its impedance to 1, 0.001 of gravity, where it has just
+# been placed.
+@pytest.mark.parametrize(("kind", "tolerance"), [(RollingPlant, 1e-14), (RigidBodyPlant, 0.01)])
+def test_at_rest_the_force_is_opposite_to_gravity(kind, tolerance) -> None:
+    plant = kind(ROBOT, TURNED)
+    up = np.concatenate((np.zeros(3), TURN.T @ matrix(TURNED[2:])[2] * GRAVITY))
+    np.testing.assert_allclose(plant.imu(AT, TURN), up, atol=tolerance)
+    if kind is RollingPlant:
+        plant.push([1.0, 0.0])
+        plant._is_stopped = True
+        np.testing.assert_allclose(plant.imu(AT, TURN), up, atol=tolerance)
+    plant = kind(ROBOT, UPRIGHT, disturbances=SLOPE)
+    # It rolls downhill: of the pull along the floor m / (It1 + m) becomes acceleration.
+    along = 1.0 - ROBOT.rolling_inertia / (ROBOT.transverse_inertia + ROBOT.rolling_inertia)
+    expected = matrix(UPRIGHT[2:]).T @ (np.array([-along, -along, -1.0]) * SLOPE.gravity)
+    np.testing.assert_allclose(plant.imu(np.zeros(3), np.eye(3))[3:], expected, atol=tolerance)
+
+
+def readings(imu: SimulatedImuSettings, seed: int = 3, until: float = 1.0) -> list[ImuReading]:
+    """Return what the IMU of a sphere at rest measures."""
+    simulator = Simulator(SimulatorSettings(seed=seed), ROBOT, imu=imu)
+    simulator.advance_to(round(until * SECOND))
+    return simulator.imu_readings()
+
+
+def values(found: list[ImuReading]) -> Vector:
+    return np.array([(*reading.rate, *reading.force) for reading in found])
+
+
+def test_readings_are_what_the_plant_measures_at_their_stamps_and_come_late() -> None:
+    simulator = Simulator(SimulatorSettings(), ROBOT, imu=replace(EXACT, rate=40.0, latency=0.01))
+    hold = FirstOrderHold(np.array([0.0, 0.3, 1.0]), np.array([[0, 0], [90, -70], [0, 0.0]]))
+    simulator.follower.follow_trajectory(hold)
+    for i in range(8):
+        simulator.advance_to(25 * MS * i)
+        plant = simulator.plant
+        true = plant.imu(AT, np.eye(3)), plant.rotor_angles, plant.rotor_speeds
+        torques = plant.rotor_torques
+        simulator.advance_to(simulator.now + 10 * MS - 1)
+        assert simulator.imu_readings() == []
+        simulator.advance_to(simulator.now + 1)
+        (found,) = simulator.imu_readings()
+        assert found.stamp == 25 * MS * i and simulator.imu_readings() == []
+        np.testing.assert_array_equal((*found.rate, *found.force), true[0])
+        np.testing.assert_array_equal((found.angles, found.speeds), true[1:])
+        np.testing.assert_array_equal(found.torques, torques)
+
+
+def test_errors_are_those_of_the_settings_and_of_the_seed_alone() -> None:
+    def biases(imu: SimulatedImuSettings, seeds: range) -> Vector:
+        still = values(readings(EXACT, until=0.0))
+        return np.concatenate([values(readings(imu, seed, 0.0)) for seed in seeds]) - still
+
+    # 600 draws: the deviation of a deviation is 1 / sqrt(1200) = 3 %; four of these.
+    drawn = biases(replace(EXACT, gyro_bias=0.02, accelerometer_bias=0.3), range(200))
+    np.testing.assert_allclose([drawn[:, :3].std(), drawn[:, 3:].std()], [0.02, 0.3], rtol=0.12)
+    noisy = replace(EXACT, gyro_noise=1e-3, accelerometer_noise=2e-2, gyro_bias_walk=1e-2)
+    found = readings(noisy, until=20.0)
+    steps = np.diff(values(found), axis=0)
+    # White noise differs from one reading to the next by twice its variance, and by the walk's.
+    expected = np.sqrt(2.0 * noisy.deviations**2 + [1e-2**2 / 100.0, 0.0])
+    np.testing.assert_allclose(noisy.deviations, [1e-2, 0.2])
+    np.testing.assert_allclose([steps[:, :3].std(), steps[:, 3:].std()], expected, rtol=0.06)
+    moved = values(readings(replace(EXACT, gyro_bias_walk=1e-2), until=20.0))[:, :3]
+    np.testing.assert_allclose(np.diff(moved, axis=0).std(), 1e-2 * 0.1, rtol=0.06)
+    often = Simulator(SimulatorSettings(seed=3), ROBOT, imu=noisy)
+    read = []
+    for i in range(100):
+        often.advance_to(7 * MS * (i + 1))
+        read += often.imu_readings()
+    np.testing.assert_array_equal(values(read), values(found)[: len(read)])
+    assert not np.any(values(readings(noisy, seed=4)) == values(found)[:101])
+
+
+def test_readings_at_rest_have_the_same_bias_and_end_in_the_first_one() -> None:
+    imu = SimulatedImuSettings(gyro_noise=0.0, accelerometer_noise=0.0, gyro_bias_walk=1e-3)
+    simulator = Simulator(SimulatorSettings(), ROBOT, imu=imu)
+    (first,) = simulator.imu_readings()
+    long, short = (simulator.imu.at_rest(length, simulator.plant) for length in (2.0, 0.5))
+    assert [reading.stamp for reading in short] == [10 * MS * i for i in range(-50, 0)]
+    np.testing.assert_array_equal(values(long)[-50:], values(short))
+    np.testing.assert_array_equal(values(long)[:, 3:], np.tile(first.force, (200, 1)))
+    walk = np.diff(values([*long, first])[:, :3], axis=0)
+    # 600 draws, as above.
+    np.testing.assert_allclose(walk.std(), 1e-3 * 0.1, rtol=0.12)
+
+
+def test_beyond_its_range_a_sensor_is_saturated() -> None:
+    imu = replace(EXACT, gyro_range=0.5, accelerometer_range=5.0, gyro_scale=0.1)
+    simulator = Simulator(SimulatorSettings(), ROBOT, imu=imu)
+    simulator.plant.push([3.0, 0.0])
+    simulator.advance_to(SECOND)
+    true, found = simulator.plant.imu(AT, np.eye(3)), values(simulator.imu_readings())[-1]
+    limits = np.repeat([0.5, 5.0], 3)
+    beyond = np.abs(true) > 1.2 * limits
+    assert beyond[:3].any() and beyond[3:].any()
+    np.testing.assert_array_equal(found[beyond], (np.sign(true) * limits)[beyond])
+    assert np.all(np.abs(found) <= limits)
+
+
+def test_imu_that_is_off_is_never_read_and_changes_no_step(monkeypatch) -> None:
+    hold = FirstOrderHold(np.array([0.0, 0.3, 1.0]), np.array([[0, 0], [90, -70], [0, 0.0]]))
+    ends = []
+    for imu in (None, replace(EXACT, rate=333.0)):
+        simulator = Simulator(SimulatorSettings(position_noise=0.01), ROBOT, imu=imu)
+        if simulator.imu is not None:
+            simulator.imu.is_on = False
+            monkeypatch.setattr(RollingPlant, "imu", None)
+        simulator.follower.follow_trajectory(hold)
+        simulator.advance_to(SECOND)
+        ends.append((*simulator.plant.state, *simulator.measured_state()))
+    np.testing.assert_array_equal(*ends)

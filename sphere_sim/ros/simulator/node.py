@@ -32,6 +32,7 @@ from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 from sphere_nmpc.ros.lifetime import run
+from sphere_nmpc.ros.pose_publisher import frame_prefix
 from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
 from sphere_sim.ros.simulator.controllers import Controllers
 from sphere_sim.ros.simulator.receivers import CommandReceiver, PushReceiver
@@ -120,7 +121,7 @@ class SimulatorNode(GuardedNode):
             settings.lockstep,
         )
         self._controller_found = self._period_told = False
-        prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
+        prefix = frame_prefix(self, settings.frame_prefix)
         self._state_publisher = StatePublisher(
             self, robot.shell_radius, prefix, frame, clocked=not settings.is_on_system_clock,
             has_odometry=settings.has_odometry,

@@ -29,6 +29,7 @@ VERBS = {
     "study": ("sphere_sim.cli.study", "run many scenarios and write tables of the outcome"),
     "benchmark": ("sphere_sim.cli.benchmark", "time the solver on this machine"),
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
+    "calibrate_radius": ("sphere_sim.cli.calibrate_radius", "the radius from a measured way"),
 }
 _WITHOUT_ROS = ("study", "benchmark", "report")
 _DEBUG = "--debug"
@@ -95,7 +96,7 @@ def _without_debug(argv: Sequence[str]) -> tuple[list[str], bool]:
 
 
 def _usage() -> str:
-    lines = (f"  {verb:<11} {purpose}" for verb, (_, purpose) in VERBS.items())
+    lines = (f"  {verb:<16} {purpose}" for verb, (_, purpose) in VERBS.items())
     return "\n".join(
         (
             "usage: sphere_nmpc [-h] [--version] [--debug] VERB ...",

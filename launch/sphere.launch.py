@@ -60,7 +60,8 @@ RECORDED = (
 )
 """Without goal_pose, goal_point, goals, map, keepout and simulator/push: `ros2 topic pub --once`
 ends after the first matched subscription, which has to be the one that is meant. The accepted
-goals are in active_goal, map and areas to keep out of in floor, the pushes in pushed."""
+goals are in active_goal, map and areas to keep out of in floor, the pushes in pushed. Without imu,
+which is read only while it has a subscription."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]

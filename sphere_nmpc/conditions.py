@@ -78,6 +78,19 @@ class Kind(Enum):
     CONTROLLER_FAILED = "controller failed", WARN
     POSE_LEFT_OUT = "pose left out", WARN
 
+    CALIBRATING = "calibrating at rest", STALE
+    IMU_SILENT = "no IMU", ERROR
+    IMU_STUCK = "IMU stuck", ERROR
+    GYRO_SATURATED = "gyro saturated", WARN
+    ENCODERS_SILENT = "no rotor speeds", WARN
+    ENCODERS_STUCK = "rotor speeds stuck", WARN
+    ENCODERS_LATE = "rotor speeds late", WARN
+    PUSHED = "pushed", OK
+    SLIPPED = "slipped", WARN
+    LIFTED = "lifted", WARN
+    FIX_LEFT_OUT = "fix left out", WARN
+    TILT_REPLACED = "tilt replaced", WARN
+
     CLOCK_MISSING = "no clock", ERROR
     CLOCK_ENDED = "clock stopped", ERROR
     POSE_MISSING = "no pose", ERROR

@@ -1,9 +1,10 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the odometry: where it begins, and what is known of robot and fixes."""
+"""Settings of the odometry: where it begins, what is known of robot and fixes; its numbers."""
 
 from dataclasses import dataclass
 
+from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.quantity import quantity, validate
 
 
@@ -42,3 +43,33 @@ class OdometrySettings:
 
     def __post_init__(self) -> None:
         validate(self)
+
+
+@dataclass(frozen=True)
+class OdometryNumbers(EstimatorSettings):
+    """Numbers of the odometry beside those of the estimator, for the robot of Table 1."""
+
+    interval: float = 0.05
+    """Time over which readings are taken together [s]."""
+    model_noise: float = 2e-4
+    """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
+    model_share: float = 1e-3
+    """Standard deviation of it over the angular velocity [-]."""
+    blind: float = 1.0
+    """Random walk of the orientation with neither gyro nor rotor speeds [rad/sqrt(s)]."""
+    offset: float = 0.02
+    """Standard deviation of the offset between the stamps of IMU and encoders [s]."""
+    still: float = 2e-4
+    """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
+    rest: float = 1.0
+    """Time over which the gyro is averaged to tell rest from slow turning [s]."""
+    forgotten: float = 0.7
+    """Share of a change of velocity that was not explained which counts in the next interval."""
+    lift: float = 0.1
+    """Vertical velocity above which the sphere has been lifted [m/s]."""
+    carried: float = 1.0
+    """Random walk of the position of a sphere that has been lifted [m/sqrt(s)]."""
+    silence: float = 0.2
+    """Age of the newest reading at which a sensor counts as silent [s]."""
+    remembered: float = 2.0
+    """Time for which a fault is told after it was last seen [s]."""

@@ -14,7 +14,7 @@ from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.output.arguments import cluster_address, not_negative, number, positive, whole
 from sphere_sim.output.files import prepare_folder
-from sphere_sim.world.settings import PLANTS, SimulatorSettings
+from sphere_sim.world.settings import PLANTS, POSE_SOURCES, SimulatorSettings
 
 if TYPE_CHECKING:
     from sphere_sim.scenario.perturbation import DisturbanceDraws
@@ -107,6 +107,7 @@ def _conditions(
         # As workers of a cluster may have other working directories.
         "floor.map_file": arguments.map and find_file(arguments.map),
         "simulator.plant": arguments.plant,
+        "simulator.pose_source": arguments.pose_source,
         "simulator.process_noise": arguments.process_noise,
         "simulator.position_noise": position_noise,
         "simulator.orientation_noise": orientation_noise,
@@ -151,6 +152,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--plant", choices=PLANTS, help=f"plant of the runs ({SimulatorSettings.plant})"
+    )
+    parser.add_argument(
+        "--pose-source", choices=POSE_SOURCES,
+        help="poses of a sensor (the default), or of an odometry by IMU and encoders",
     )
     parser.add_argument(
         "--perturb", type=not_negative, default=0.0, metavar="PERCENT",

@@ -3,6 +3,7 @@
 """Closed loop without ROS: the simulator and the controller of the nodes, called in turn."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,18 +55,23 @@ class Trajectory:
 def run_closed_loop(
     simulator: Simulator, controller: Controller, goal: Vector | Goal, duration: float,
     control_period: float, output_period: float = 0.01, latency: float = 0.0,
-    push: Push | None = None,
+    push: Push | None = None, poses: Callable[[], list[tuple[int, Vector]]] | None = None,
 ) -> Trajectory:
     """Simulate a plant at its start under a new controller with a goal, a set or shape (6,).
 
     The run lasts `duration`, with a sampling instant every `control_period` and a row of the
     trajectory every `output_period`, which the controller does not see [s]. `latency` is the age
     of the newest pose at a sampling instant [s]; its stamp is the time of measurement, and before
-    the run the sphere is measured at rest. `InvalidParameterError` is raised if it is given for a
-    sensor that has rate, latency or drop-outs of its own.
+    the run the sphere is measured at rest. `poses` returns stamps [ns] and poses, shape (6,), that
+    are new; by default they are those of the simulator's sensor. `InvalidParameterError` is raised
+    if a latency is given for a source of poses that has stamps of its own.
     """
-    if latency and not simulator.settings.is_sensor_plain:
-        raise InvalidParameterError("latency", latency, "0 for a sensor with rate or latency")
+    plain = poses is None and simulator.settings.is_sensor_plain
+    if latency and not plain:
+        raise InvalidParameterError(
+            "latency", latency, "0 for a sensor with rate or latency, and for an odometry"
+        )
+    new_poses = poses or simulator.poses
     controller.set_goal(goal)
     control, output = round(control_period * NANOSECONDS), round(output_period * NANOSECONDS)
     end = round(duration * NANOSECONDS)
@@ -76,7 +82,6 @@ def run_closed_loop(
     decisions: list[Decision] = []
     holds: list[FirstOrderHold] = []
     pending: deque[tuple[int, float, Vector]] = deque()
-    plain = simulator.settings.is_sensor_plain
     if plain:
         pending.append((0, 0.0, simulator.measured_state()))
     plant = simulator.plant
@@ -93,7 +98,7 @@ def run_closed_loop(
             pending.append((now + delay, simulator.time, simulator.measured_state()))
         if now % control == 0:
             if not plain:
-                for stamp_ns, pose in simulator.poses():
+                for stamp_ns, pose in new_poses():
                     controller.observe(stamp_ns / NANOSECONDS, pose)
             while pending and pending[0][0] <= now:
                 _, stamp, state = pending.popleft()

@@ -8,17 +8,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
+from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.contract import PlantSettings
 from sphere_sim.world.plant.factory import settings_class
 from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 _SCENARIO_SETTINGS = ("initial_state", "seed")
-OF_NODES = {"simulator": ("pose_rate", "pose_source", "command_timeout")}
+OF_NODES = {
+    "simulator": ("pose_rate", "command_timeout"), "odometry": ("fix_memory",),
+}
 """Settings that have no effect on a run of a study, by kind."""
 
 
@@ -45,6 +49,8 @@ class StudyConditions:
     """Settings that plants have of their own, by plant; those of others are their defaults."""
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     floor: FloorSettings = field(default_factory=FloorSettings)
+    imu: SimulatedImuSettings = field(default_factory=SimulatedImuSettings)
+    odometry: OdometrySettings = field(default_factory=OdometrySettings)
 
     def __post_init__(self) -> None:
         validate(self)
@@ -64,8 +70,8 @@ class StudyConditions:
         """Return the conditions with other values of some settings.
 
         Names and values are text, in any order. A name that occurs in only one of controller,
-        simulator, robot, rigid_body, disturbances and floor needs no prefix such as in
-        ``controller.horizon``; plants of other packages have their name as the prefix.
+        simulator, robot, rigid_body, disturbances, floor, imu and odometry needs no prefix such as
+        in ``controller.horizon``; plants of other packages have their name as the prefix.
 
         `InvalidParameterError` is raised if there is no such setting or no study reads it, one is
         given twice, or the values are not in their ranges.
@@ -97,6 +103,8 @@ _GROUPS: dict[str, Any] = {
     "robot": RobotParameters,
     "disturbances": DisturbanceSettings,
     "floor": FloorSettings,
+    "imu": SimulatedImuSettings,
+    "odometry": OdometrySettings,
 }
 
 

@@ -28,6 +28,9 @@ PUSH_RESULT_COLUMNS = ("recover_s",)
 FLOOR_RESULT_COLUMNS = ("contacts", "least_clearance_m", "reason")
 """Further columns of runs.csv of a study on a floor; ``reason`` is why a goal was given up."""
 
+ODOMETRY_RESULT_COLUMNS = ("odometry_position_error_m", "odometry_heading_error_deg")
+"""Further columns of runs.csv of a study on the poses of an odometry: its errors at the end."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:

@@ -21,10 +21,11 @@ from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, measure, state_errors, stay_below
+from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.record import RunRecord, Value, finite
+from sphere_sim.study.record import ODOMETRY_RESULT_COLUMNS, RunRecord, Value, finite
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 from sphere_sim.world.walls import Contact, Walls, walls_of
@@ -60,7 +61,8 @@ def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator,
     plant = make_plant(simulation.plant, robot, scenario.start, own, disturbances, walls)
     controller = Controller(conditions.controller, conditions.robot)
     controller.floor = floor
-    return Simulator(simulation, robot, plant), controller
+    imu = conditions.imu if simulation.has_odometry else None
+    return Simulator(simulation, robot, plant, imu), controller
 
 
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
@@ -72,9 +74,13 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     strategy = conditions.controller.strategy
     try:
         simulator, controller = prepare(conditions, scenario)
+        poses = None if simulator.imu is None else OdometryPoses(
+            simulator, simulator.imu, conditions.odometry, conditions.robot
+        )
         trajectory = run_closed_loop(
             simulator, controller, scenario.goal, conditions.duration,
             conditions.controller.control_period, latency=conditions.latency, push=scenario.push,
+            poses=poses,
         )
         inputs = followed_inputs(trajectory.holds, conditions.duration)
         results = _results(trajectory, scenario.goal, inputs)
@@ -82,6 +88,8 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         if scenario.push is not None and trajectory.at_push.size and settling is not None:
             results["recover_s"] = max(0.0, float(settling) - scenario.push.time)
         results |= _contacts(simulator.plant.contact, trajectory)
+        if poses is not None:
+            results |= dict(zip(ODOMETRY_RESULT_COLUMNS, map(finite, poses.errors()), strict=True))
     except (MemoryError, OSError):
         raise
     except Exception as error:

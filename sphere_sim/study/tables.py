@@ -18,6 +18,7 @@ from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Sce
 from sphere_sim.study.journal import NotWrittenError
 from sphere_sim.study.record import (
     FLOOR_RESULT_COLUMNS,
+    ODOMETRY_RESULT_COLUMNS,
     PUSH_RESULT_COLUMNS,
     RESULT_COLUMNS,
     RunRecord,
@@ -78,6 +79,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
         **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
         "beyond_lower_bound_s": _distribution(_beyond_lower_bound(results)),
         **{n: _distribution(column(results, n)) for n in PUSH_RESULT_COLUMNS if pushed},
+        **{n: _distribution(column(results, n)) for n in _of_odometry(results)},
         **{name: _largest(column(results, name)) for name in _PEAKS},
         "failed_solves": int(np.sum(column(results, "failures"))),
         "crashed": sum(found.get("crash") is not None for found in results),
@@ -103,6 +105,12 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
 def _has_walls(results: Results) -> bool:
     """Return whether the runs were on a floor with walls."""
     return any("contacts" in found for found in results)
+
+
+def _of_odometry(results: Results) -> tuple[str, ...]:
+    """Return the columns of an odometry, where the runs have one."""
+    names = ODOMETRY_RESULT_COLUMNS
+    return names if any(names[0] in found for found in results) else ()
 
 
 def _contacts(results: Results) -> dict[str, Any]:
@@ -148,6 +156,9 @@ def headline(summary: dict[str, Any]) -> str:
         parts.append(f"{summary['contacts']} contacts")
         if summary["least_clearance_m"] is not None:
             parts.append(f"least clearance {1e3 * summary['least_clearance_m']:.1f} mm")
+    if ODOMETRY_RESULT_COLUMNS[0] in summary:
+        far, turned = (summary[name]["median"] for name in ODOMETRY_RESULT_COLUMNS)
+        parts.append(f"odometry {1e3 * far:.1f} mm and {turned:.2f} deg off")
     if summary["crashed"]:
         parts.append(f"{summary['crashed']} CRASHED")
     return ", ".join(parts)
@@ -189,6 +200,7 @@ def write_runs(
     walled = any(map(_has_walls, results))
     result_names = RESULT_COLUMNS + (PUSH_RESULT_COLUMNS if pushed else ())
     result_names += FLOOR_RESULT_COLUMNS if walled else ()
+    result_names += max(map(_of_odometry, results), default=())
     extras = [n for n in names if n not in (*result_names, *PUSH_RESULT_COLUMNS)]
     present = {name for scenario in scenarios for name in scenario.optional}
     optional = [name for name in PUSH_COLUMNS + DISTURBANCE_COLUMNS if name in present]

@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of the robot: plants, drives, pose sensor and clock."""
+"""Simulation of the robot: plants, drives, sensors and clock."""

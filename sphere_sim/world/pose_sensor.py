@@ -7,6 +7,7 @@ import numpy as np
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.sampled_sensor import SampledSensor
 from sphere_sim.world.settings import SimulatorSettings
 
@@ -31,10 +32,10 @@ class PoseSensor(SampledSensor[tuple[int, Vector]]):
         self.is_on = not settings.is_sensor_plain
         self.latency = round(settings.sensor_latency * NANOSECONDS)
 
-    def sample(self, now: int, state: Vector) -> None:
-        """Measure the true state, shape (6,), at this instant."""
+    def sample(self, now: int, plant: Plant) -> None:
+        """Measure the pose of the plant at this instant."""
         # With noise for lost poses too, so that a loss does not change the noise of the others.
-        measured = self.measured(state)
+        measured = self.measured(plant.state)
         if self._dropouts.random() >= self._settings.sensor_dropout:
             self.deliver(now, (now, measured))
 

@@ -37,6 +37,8 @@ class SampledSensor(Generic[R]):
 
     def delivered(self, now: int) -> list[R]:
         """Return the readings that are due by now, each once, in order."""
+        if not self._pending:
+            return []
         found = [reading for due, reading in self._pending if due <= now]
         self._pending = deque(entry for entry in self._pending if entry[0] > now)
         return found

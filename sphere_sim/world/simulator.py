@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator: a plant with its drives, noise and sensors."""
 
-from typing import Any
-
 import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
@@ -14,7 +12,6 @@ from sphere_sim.world.imu_sensor import ImuReading, ImuSensor, SimulatedImuSetti
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.pose_sensor import PoseSensor
-from sphere_sim.world.sampled_sensor import SampledSensor
 from sphere_sim.world.settings import SimulatorSettings
 
 _LONGEST_STEP = 10_000_000
@@ -41,9 +38,7 @@ class Simulator:
         self._noise_period = round(settings.noise_period * NANOSECONDS)
         self._process = np.random.default_rng([settings.seed, 0])
         self._sensor = PoseSensor(settings)
-        self.imu = None if imu is None else ImuSensor(imu, settings.seed)
-        """The IMU, which can be turned off; None if there is none."""
-        self._sensors: list[SampledSensor[Any]] = [self._sensor, *([self.imu] if self.imu else [])]
+        self.fit_imu(imu)
         self.speed_reference: Vector = np.zeros(INPUT_SIZE)
         """Reference of the rotor speeds [rad/s], shape (2,); the rotors may lag behind it."""
         self.now = 0
@@ -70,6 +65,12 @@ class Simulator:
         self._settings = settings
         self._sensor.change(settings)
 
+    def fit_imu(self, imu: SimulatedImuSettings | None) -> None:
+        """Fit an IMU with these settings from now on, or take it away."""
+        self.imu = None if imu is None else ImuSensor(imu, self._settings.seed)
+        self._sensors: list[PoseSensor | ImuSensor] = [self._sensor]
+        self._sensors += [] if self.imu is None else [self.imu]
+
     def reset(self) -> None:
         """Put the sphere at rest at its start; time and noise continue."""
         self.follower.reset()
@@ -81,8 +82,10 @@ class Simulator:
         while self.now < then:
             noise = (self.now // self._noise_period + 1) * self._noise_period
             grid = (self.now // _LONGEST_STEP + 1) * _LONGEST_STEP
-            samples = [sensor.next_instant(self.now) for sensor in self._sensors if sensor.is_on]
-            stop = min(then, noise, grid, *samples)
+            stop = min(then, noise, grid)
+            for sensor in self._sensors:
+                if sensor.is_on:
+                    stop = min(stop, sensor.next_instant(self.now))
             knots = self.follower.knots_between(self.time, stop / NANOSECONDS)
             if knots:
                 stop = min(stop, max(self.now + 1, round(knots[0] * NANOSECONDS)))
@@ -101,7 +104,7 @@ class Simulator:
         Each is returned once. A plain sensor measures at each call.
         """
         if self._settings.is_sensor_plain:
-            self._sensor.sample(self.now, self.plant.state)
+            self._sensor.sample(self.now, self.plant)
         return self._sensor.delivered(self.now)
 
     def imu_readings(self) -> list[ImuReading]:
@@ -113,10 +116,9 @@ class Simulator:
         return self._sensor.measured(self.plant.state)
 
     def _sample(self) -> None:
-        if self._sensor.is_due(self.now):
-            self._sensor.sample(self.now, self.plant.state)
-        if self.imu is not None and self.imu.is_due(self.now):
-            self.imu.sample(self.now, self.plant)
+        for sensor in self._sensors:
+            if sensor.is_due(self.now):
+                sensor.sample(self.now, self.plant)
 
     def _disturb(self) -> None:
         """Add the disturbance W(k) of Eq. (43) and normalise the quaternion."""

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator node: a sphere with two rotors, its drives, its sensor and its clock.
+"""The simulator node: a sphere with two rotors, its drives, its sensors and its clock.
 
 publishes   pose and odom, with pose_source odometry as ground_truth/pose and ground_truth/odom,
             imu, joint_states, /clock unless it runs on the system clock, /diagnostics, ~/pushed
@@ -108,7 +108,7 @@ class SimulatorNode(GuardedNode):
         start = as_state(settings.initial_state)
         walls = self._floor_receiver.floor
         plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
-        self.simulator = Simulator(settings, robot, plant, imu)
+        self.simulator = Simulator(settings, robot, plant, imu if settings.has_odometry else None)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
             settings.real_time_factor, settings.lockstep, settings.lockstep_timeout,
@@ -124,7 +124,7 @@ class SimulatorNode(GuardedNode):
         prefix = frame_prefix(self, settings.frame_prefix)
         self._state_publisher = StatePublisher(
             self, robot.shell_radius, prefix, frame, clocked=not settings.is_on_system_clock,
-            has_odometry=settings.has_odometry,
+            has_odometry=settings.has_odometry, imu=imu,
         )
         self._receiver = CommandReceiver(
             self, self.simulator, settings, robot.max_rotor_speed, self._fault_log,

@@ -3,7 +3,6 @@
 """Publisher of the simulated robot's state and of the simulated clock."""
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from rclpy.duration import Duration
@@ -19,7 +18,7 @@ from sphere_nmpc.ros.cdr import (
     joint_states_message,
 )
 from sphere_nmpc.ros.pose_publisher import PosePublisher
-from sphere_sim.world.imu_sensor import ImuReading
+from sphere_sim.world.imu_sensor import ImuReading, SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.mjcf import IMU
 from sphere_sim.world.simulator import Simulator
 
@@ -30,16 +29,17 @@ _DEPTH = 1000
 class StatePublisher:
     """Publish pose, odometry, IMU, joint states and, last of all, the clock unless not `clocked`.
 
-    `prefix` is that of the frames of body and IMU. With `has_odometry` another node publishes
-    pose, odometry and transform: those of here are the ground truth, and the joint states are
-    those that were read together with the IMU.
+    `prefix` is that of the frames of body and IMU, which is read while it has a subscription.
+    With `has_odometry` it always is, and another node publishes pose, odometry and transform:
+    those of here are the ground truth, and the joint states are read together with the IMU.
     """
 
     def __init__(
         self, node: Node, shell_radius: float, prefix: str = "", world_frame: str = WORLD_FRAME,
-        clocked: bool = True, has_odometry: bool = False,
+        clocked: bool = True, has_odometry: bool = False, imu: SimulatedImuSettings | None = None,
     ) -> None:
         self._imu_frame, self._has_odometry = prefix + IMU, has_odometry
+        self._imu_settings = imu or SimulatedImuSettings()
         self.epoch = 0
         """Stamp of simulated time 0 [ns]."""
         self._pose = PosePublisher(
@@ -61,9 +61,11 @@ class StatePublisher:
             [(self.epoch + stamp, seen) for stamp, seen in poses], measured, plant.velocity,
             plant.body_rate, now,
         )
-        if simulator.imu is not None:
-            simulator.imu.is_on = self._has_odometry or self._imu.get_subscription_count() > 0
-            self._add_readings(simulator.imu_readings(), simulator.imu.settings.deviations)
+        is_wanted = self._has_odometry or self._imu.get_subscription_count() > 0
+        if is_wanted is not bool(simulator.imu):
+            simulator.fit_imu(self._imu_settings if is_wanted else None)
+        for reading in simulator.imu_readings():
+            self._add_reading(reading)
         # At 2000 instants a second, messages without a subscriber would take too much time.
         if not self._has_odometry and self._joints.get_subscription_count() > 0:
             self._add_joints(plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now)
@@ -72,13 +74,12 @@ class StatePublisher:
             self._last.append((self._clock, clock_message(now)))
         self.repeat()
 
-    def _add_readings(self, readings: Sequence[ImuReading], deviations: Vector) -> None:
-        for reading in readings:
-            stamp = self.epoch + reading.stamp
-            message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
-            self._last.append((self._imu, message))
-            if self._has_odometry:
-                self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
+    def _add_reading(self, reading: ImuReading) -> None:
+        stamp, deviations = self.epoch + reading.stamp, self._imu_settings.deviations
+        message = imu_message(reading.rate, reading.force, deviations, stamp, self._imu_frame)
+        self._last.append((self._imu, message))
+        if self._has_odometry:
+            self._add_joints(reading.angles, reading.speeds, reading.torques, stamp)
 
     def _add_joints(self, angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> None:
         joints = joint_states_message(angles, speeds, torques, stamp)

@@ -150,8 +150,8 @@ class RollingPlant:
         change = np.zeros(3) if self._is_stopped else self._body_acceleration()
         east, north, _ = to_world @ change
         centre = self._radius * np.array([north, -east, 0.0])
-        force = to_world.T @ (centre - self._gravity) + np.cross(change, position)
-        force += np.cross(rate, np.cross(rate, position))
+        force = to_world.T @ (centre - self._gravity) + _cross(change, position)
+        force += _cross(rate, _cross(rate, position))
         return np.concatenate((turn.T @ rate, turn.T @ force))
 
     def _body_acceleration(self) -> Vector:
@@ -163,11 +163,11 @@ class RollingPlant:
         # The balance differentiated once: all that is fixed to the body turns at omega.
         spin = turn[:, :2] @ self._speeds
         turning = inertia @ rate + self._rotor_inertia * spin
-        drifting = np.cross(rate, c)
+        drifting = _cross(rate, c)
         change = (
             np.array(self.rate(self._y, *self._speeds)[6:])
             - self._rotor_inertia * (turn[:, :2] @ self._acceleration)
-            - np.cross(rate, turning)
+            - _cross(rate, turning)
             - pull * (2.0 * drifting[2] * rate - drifting * rate[2] - up * (drifting @ rate))
         )
         about_contact = inertia + pull * (
@@ -299,6 +299,12 @@ class RollingPlant:
             slowest = self._spinning * self._stopped_in_a_step
             f3 = -self._spinning / max(abs(o3), slowest) * o3
         return f1, f2, f3
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Return a x b as `np.cross` does, which takes four times as long to look at the shapes."""
+    product: Vector = a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
+    return product
 
 
 def _inertia_about_centre(robot: RobotParameters) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix, random_quaternion
 from sphere_nmpc.model.state import Vector, make_state
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.imu_sensor import ImuReading, SimulatedImuSettings
+from sphere_sim.world.imu_sensor import ImuReading, ImuSensor, SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -133,13 +133,22 @@ def test_readings_are_what_the_plant_measures_at_their_stamps_and_come_late() ->
 
 
 def test_errors_are_those_of_the_settings_and_of_the_seed_alone() -> None:
-    def biases(imu: SimulatedImuSettings, seeds: range) -> Vector:
-        still = values(readings(EXACT, until=0.0))
-        return np.concatenate([values(readings(imu, seed, 0.0)) for seed in seeds]) - still
+    plant = RollingPlant(ROBOT, TURNED)
+    plant.push([1.0, 0.0])
+    true = plant.imu(AT, np.eye(3))
+
+    def of_seeds(**changes: float) -> Vector:
+        sensors = [ImuSensor(replace(EXACT, **changes), seed) for seed in range(200)]
+        for sensor in sensors:
+            sensor.sample(0, plant)
+        return values([reading for sensor in sensors for reading in sensor.delivered(0)])
 
     # 600 draws: the deviation of a deviation is 1 / sqrt(1200) = 3 %; four of these.
-    drawn = biases(replace(EXACT, gyro_bias=0.02, accelerometer_bias=0.3), range(200))
-    np.testing.assert_allclose([drawn[:, :3].std(), drawn[:, 3:].std()], [0.02, 0.3], rtol=0.12)
+    bias = of_seeds(gyro_bias=0.02, accelerometer_bias=0.3) - true
+    np.testing.assert_allclose([bias[:, :3].std(), bias[:, 3:].std()], [0.02, 0.3], rtol=0.12)
+    scale = of_seeds(gyro_scale=0.05) / true
+    np.testing.assert_allclose(scale[:, :3].std(), 0.05, rtol=0.12)
+    np.testing.assert_array_equal(scale[:, 3:], 1.0)
     noisy = replace(EXACT, gyro_noise=1e-3, accelerometer_noise=2e-2, gyro_bias_walk=1e-2)
     found = readings(noisy, until=20.0)
     steps = np.diff(values(found), axis=0)
@@ -184,15 +193,17 @@ def test_beyond_its_range_a_sensor_is_saturated() -> None:
     assert np.all(np.abs(found) <= limits)
 
 
-def test_imu_that_is_off_is_never_read_and_changes_no_step(monkeypatch) -> None:
+def test_imu_that_nobody_wants_is_never_read_and_changes_no_step(monkeypatch) -> None:
     hold = FirstOrderHold(np.array([0.0, 0.3, 1.0]), np.array([[0, 0], [90, -70], [0, 0.0]]))
     ends = []
     for imu in (None, replace(EXACT, rate=333.0)):
         simulator = Simulator(SimulatorSettings(position_noise=0.01), ROBOT, imu=imu)
-        if simulator.imu is not None:
-            simulator.imu.is_on = False
-            monkeypatch.setattr(RollingPlant, "imu", None)
+        assert len(simulator.imu_readings()) == (imu is not None)
+        simulator.fit_imu(None)
+        monkeypatch.setattr(RollingPlant, "imu", None)
         simulator.follower.follow_trajectory(hold)
         simulator.advance_to(SECOND)
         ends.append((*simulator.plant.state, *simulator.measured_state()))
+        assert simulator.imu_readings() == []
+        monkeypatch.undo()
     np.testing.assert_array_equal(*ends)

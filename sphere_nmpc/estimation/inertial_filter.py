@@ -1,0 +1,393 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Error-state Kalman filter of the pose from an IMU in the shell and the speeds of the rotors.
+
+The gyro is the input: it turns the shell, and without slip the sphere rolls by that. The error is
+
+    [p, phi, b_g, s_g, b_a, h, c, rho, tau]
+
+position [m] and rotation [rad] in the world frame, true minus estimated, R_true = exp(phi) R, with
+which the model, which no motion of the plane changes, is linear in the unobservable position and
+heading; bias and scale of the gyro and bias of the accelerometer, in the axes of the sensor;
+momentum over I1 [rad/s; world]; relative errors of c1, r1, r3 and of the radius; and the time by
+which the stamps of the rotors' speeds are late [s].
+
+Measured are, over an interval of some hundredths of a second, the specific force, integrated,
+
+    int R f dt = v(t1) - v(t0) + g e3 (t1 - t0),    v = Rs (omega x e3) + omega x r,
+
+at the place r of the IMU, which has the tilt; and the mean angular velocity by the balance of
+momentum, (diag(1, 1, r1/r3) - r1 k k^T) omega = -c1 ([u, 0] - R^T h), k the vertical in the body.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+
+P, PHI, GYRO_BIAS, GYRO_SCALE, FORCE_BIAS, MOMENTUM, CONSTANTS = (
+    slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11), slice(11, 14), slice(14, 17),
+    slice(17, 20),
+)
+RADIUS, OFFSET, SIZE = 20, 21, 22
+"""Places in the error."""
+POSE_ERROR = slice(0, 5)
+_FIRST = 5
+"""Size of the error of the pose, behind which the error is one of numbers."""
+ROLL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+"""Velocity over radius of the centre that rolls by an angular velocity, both in the world."""
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class Belief(NamedTuple):
+    """Distribution of the state at one instant."""
+
+    pose: Vector
+    """Shape (6,)."""
+    numbers: Vector
+    """All that is behind the pose in the error, shape (17,)."""
+    covariance: Vector
+    """Of the error, shape (22, 22)."""
+    unexplained: Vector
+    """Change of velocity that rolling has not explained recently [m/s; world], shape (3,)."""
+
+    def value(self, part: slice) -> Vector:
+        """Return a part of the numbers by its place in the error."""
+        return self.numbers[part.start - _FIRST : part.stop - _FIRST]
+
+
+class Findings(NamedTuple):
+    """What an interval has shown beside the state."""
+
+    force: float
+    """Normalised square of the innovation of the specific force; nan where it was not used."""
+    rate: float
+    """That of the angular velocity by the balance of momentum; nan without rotor speeds."""
+    jump: Vector
+    """Innovation of the velocity [m/s; world frame], shape (3,)."""
+
+
+class Samples(NamedTuple):
+    """Readings of an interval, from its start to its end, and speeds of the rotors at these.
+
+    Attributes
+    ----------
+    times : list of float
+        [s], n + 1 of them.
+    rates, forces : list of ndarray, each shape (3,)
+        Angular velocity [rad/s] and specific force [m/s^2], in the axes of the sensor.
+    valid : list of bool
+        Whether gyro and accelerometer can be believed.
+    speeds : ndarray, shape (n + 1, 2), optional
+        Speeds of the rotors [rad/s]; None where they are not known.
+    bend : float
+        Second differences of these speeds: root of their sum of squares [rad/s].
+    still : bool
+        Whether rotors and shell are at rest.
+    """
+
+    times: list[float]
+    rates: list[Vector]
+    forces: list[Vector]
+    valid: list[bool]
+    speeds: Vector | None = None
+    bend: float = 0.0
+    still: bool = False
+
+    @property
+    def usable(self) -> bool:
+        """Whether all readings can be believed."""
+        return all(self.valid)
+
+    def part(self, which: slice) -> "Samples":
+        """Return some of the readings in a row."""
+        speeds = None if self.speeds is None else self.speeds[which]
+        return self._replace(
+            times=self.times[which], rates=self.rates[which], forces=self.forces[which],
+            valid=self.valid[which], speeds=speeds,
+        )
+
+
+class InertialFilter:
+    """Model of sphere and sensors, with the prediction and the updates of a `Belief`."""
+
+    def __init__(
+        self, imu: ImuSettings, robot: RobotParameters, numbers: OdometryNumbers
+    ) -> None:
+        self.imu, self._numbers = imu, numbers
+        self._constants = np.array(robot.lumped.as_array()[1:])
+        self.radius = robot.shell_radius
+        self._turn, self._place = imu.turn, np.array(imu.position)
+        self._lever = float(self._place @ self._place)
+
+    def body_rates(self, belief: Belief, rates: Vector) -> Vector:
+        """Return measured rates, shape (n, 3), without their bias and scale, in the body frame."""
+        scale = 1.0 + belief.value(GYRO_SCALE)
+        found: Vector = ((rates - belief.value(GYRO_BIAS)) / scale) @ self._turn.T
+        return found
+
+    def rolled(self, belief: Belief) -> float:
+        """Return the radius as estimated [m]."""
+        return self.radius * (1.0 + float(belief.numbers[RADIUS - _FIRST]))
+
+    def moved(self, pose: Vector, turned: Vector, radius: float) -> tuple[Vector, Vector]:
+        """Return the pose after a small rotation [rad; body frame] and the mean orientation."""
+        q = pose[QUATERNION]
+        middle = rotation.matrix(rotation.product(q, rotation.exponential(0.5 * turned)))
+        q = rotation.product(q, rotation.exponential(turned))
+        by = middle @ turned
+        x, y = pose[0] + radius * by[1], pose[1] - radius * by[0]
+        return np.concatenate(((x, y), q / math.sqrt(float(q @ q)))), middle
+
+    def model_rate(
+        self, belief: Belief, turn: Vector, speeds: Vector
+    ) -> tuple[Vector, Vector]:
+        """Return the angular velocity by the balance of momentum [rad/s; body frame], (3,).
+
+        Also the inverse of its matrix, (3, 3). `turn` is the
+        orientation, body to world, `speeds` are those of the rotors [rad/s].
+        """
+        c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
+        up = turn[2]
+        inverse = np.linalg.inv(np.diag((1.0, 1.0, r1 / r3)) - r1 * np.outer(up, up))
+        drive = np.append(speeds, 0.0) - turn.T @ belief.value(MOMENTUM)
+        return -c1 * (inverse @ drive), inverse
+
+    def advance(self, belief: Belief, samples: Samples) -> tuple[Belief, Findings]:
+        """Return the belief at the end of an interval, and what it has shown."""
+        duration = samples.times[-1] - samples.times[0]
+        rates = self._rates(belief, samples)
+        radius, turn = self.rolled(belief), self._turn
+        start, pose = rotation.matrix(belief.pose[QUATERNION]), belief.pose
+        whole = np.zeros((3, 3))  # int R T dt
+        scaled = np.zeros((3, 3))  # int R T diag(rate of the sensor) dt
+        force: Vector = np.zeros(3)
+        way: Vector = np.zeros(3)
+        middles: list[Vector] = []
+        for j, (before, after) in enumerate(zip(samples.times, samples.times[1:], strict=False)):
+            step = after - before
+            mean = 0.5 * (rates[j] + rates[j + 1])
+            turned = 0.0 * mean if samples.still else mean * step
+            pose, middle = self.moved(pose, turned, radius)
+            middles.append(middle)
+            part = middle @ turn * step
+            whole += part
+            scaled += part * (mean @ turn)
+            force += part @ (0.5 * (samples.forces[j] + samples.forces[j + 1]))
+            way += middle @ turned
+        model = None
+        if samples.speeds is not None:
+            model = self._model(belief, middles, samples.speeds, duration)
+        covariance = self._predicted(belief, whole, scaled, way, duration, samples, model)
+        unexplained = self._numbers.forgotten * belief.unexplained
+        moved = Belief(pose, belief.numbers, covariance, unexplained)
+        found, by_force = moved, math.nan
+        jump: Vector = np.zeros(3)
+        if samples.usable:
+            found, by_force, jump = self._with_force(
+                moved, start, rates, whole, force, duration, samples
+            )
+        by_rate = math.nan
+        if model is not None and samples.usable:
+            found, by_rate = self._with_rate(found, *model, rates, duration, samples)
+        return found, Findings(by_force, by_rate, jump)
+
+    def _rates(self, belief: Belief, samples: Samples) -> Vector:
+        """Return the angular velocities [rad/s; body frame], by the model without a gyro."""
+        if samples.usable:
+            return self.body_rates(belief, np.array(samples.rates))
+        if samples.speeds is None:
+            # Neither is known: the shell is taken to rest, with an uncertainty.
+            return np.zeros((len(samples.times), 3))
+        turn = rotation.matrix(belief.pose[QUATERNION])
+        return np.array([self.model_rate(belief, turn, u)[0] for u in samples.speeds])
+
+    def _predicted(
+        self, belief: Belief, whole: Vector, scaled: Vector, way: Vector, duration: float,
+        samples: Samples, model: tuple[Vector, Vector] | None,
+    ) -> Vector:
+        """Return the covariance at the end of an interval."""
+        imu, numbers, covariance = self.imu, self._numbers, belief.covariance
+        rolls = self.rolled(belief) * ROLL[:2]
+        noise = np.zeros(SIZE)
+        noise[GYRO_BIAS] = imu.gyro_bias_walk**2 * duration
+        noise[MOMENTUM] = numbers.momentum_walk**2 * duration
+        by = np.eye(SIZE)
+        turns, density = np.zeros((3, SIZE)), imu.gyro_noise
+        if samples.usable:
+            turns[:, GYRO_BIAS], turns[:, GYRO_SCALE] = -whole, -scaled
+        elif model is not None:
+            turns, density = whole @ self._turn.T @ model[1], numbers.model_noise
+        else:
+            density = numbers.blind
+        if not samples.still:
+            by[PHI] += turns
+            by[P, PHI] = -rolls @ _cross(way)
+            by[P] += rolls @ turns
+            by[P, RADIUS] = rolls @ way
+        predicted = by @ covariance @ by.T
+        if not samples.still:
+            turning = np.vstack((rolls, np.eye(3)))
+            predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
+        slipped = float(belief.unexplained @ belief.unexplained)
+        noise[P] += slipped * duration**2
+        if abs(belief.unexplained[2]) > numbers.lift:
+            noise[P] += numbers.carried**2 * duration
+        predicted[np.diag_indices(SIZE)] += noise
+        return predicted
+
+    def _with_force(
+        self, belief: Belief, start: Vector, rates: Vector, whole: Vector, force: Vector,
+        duration: float, samples: Samples,
+    ) -> tuple[Belief, float, Vector]:
+        """Return the belief with the integrated specific force taken into account."""
+        numbers, imu = self._numbers, self.imu
+        radius, turn = self.rolled(belief), self._turn
+        end = rotation.matrix(belief.pose[QUATERNION])
+        force = force - whole @ belief.value(FORCE_BIAS)
+        first, last = rates[0], rates[-1]
+        by = np.zeros((3, SIZE))
+        by[:, FORCE_BIAS] = whole
+        change = lever = np.zeros(3)
+        if not samples.still:
+            change = end @ last - start @ first
+            lever = end @ np.cross(last, self._place) - start @ np.cross(first, self._place)
+            by[:, RADIUS] = radius * (ROLL @ change)
+            sensed = end @ turn * (last @ turn) - start @ turn * (first @ turn)
+            by[:, GYRO_SCALE] = -radius * (ROLL @ sensed)
+            by[:, GYRO_BIAS] = -radius * (ROLL @ (end - start) @ turn)
+        by[:, PHI] = _cross(force) - radius * (ROLL @ _cross(change)) - _cross(lever)
+        jump = force - radius * (ROLL @ change) - lever - GRAVITY * duration * _UP
+        variance = imu.accelerometer_noise**2 * duration
+        step = duration / (len(samples.times) - 1)
+        if not samples.still:
+            variance += 2.0 * (radius**2 + self._lever) * imu.gyro_noise**2 / step
+            # Of a step of the acceleration it is not known when between two readings it was.
+            variance += (radius * self._constants[0] * samples.bend) ** 2 / 3.0
+        found, square = self._updated(belief, by, jump, variance * np.eye(3), numbers.improbable)
+        if square > numbers.improbable:
+            found = belief._replace(unexplained=belief.unexplained + jump)
+        return found, square, jump
+
+    def _model(
+        self, belief: Belief, middles: list[Vector], speeds: Vector, duration: float
+    ) -> tuple[Vector, Vector]:
+        """Return the mean angular velocity by the balance of momentum, and its derivative.
+
+        In rad/s and the body frame, shape (3,), by the error, shape (3, 22).
+        """
+        model: Vector = np.zeros(3)
+        for j, middle in enumerate(middles):
+            model += self.model_rate(belief, middle, 0.5 * (speeds[j] + speeds[j + 1]))[0]
+        half = len(middles) // 2
+        turn = middles[half]
+        rate, inverse = self.model_rate(belief, turn, speeds[half])
+        c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
+        up, momentum = turn[2], belief.value(MOMENTUM)
+        by = np.zeros((3, SIZE))
+        # The vertical in the body changes by -R^T (phi x e3).
+        tilted = turn.T @ _cross(_UP)
+        by[:, PHI] = inverse @ (
+            r1 * (np.outer(up, tilted.T @ rate) + (up @ rate) * tilted)
+            + c1 * (turn.T @ _cross(momentum))
+        )
+        by[:, MOMENTUM] = c1 * (inverse @ turn.T)
+        axial = np.array((0.0, 0.0, r1 / r3 * rate[2]))
+        by[:, CONSTANTS] = np.column_stack((
+            rate, inverse @ (r1 * (up @ rate) * up - axial), inverse @ axial
+        ))
+        by[:, OFFSET] = -c1 * (inverse @ np.append((speeds[-1] - speeds[0]) / duration, 0.0))
+        return model / len(middles), by
+
+    def _with_rate(
+        self, belief: Belief, model: Vector, by: Vector, rates: Vector, duration: float,
+        samples: Samples,
+    ) -> tuple[Belief, float]:
+        """Return the belief with the angular velocity by the balance of momentum."""
+        numbers, imu = self._numbers, self.imu
+        wanted = np.zeros(3) if samples.still else 0.5 * np.mean(rates[:-1] + rates[1:], axis=0)
+        if not samples.still:
+            by[:, GYRO_BIAS] = self._turn
+            by[:, GYRO_SCALE] = self._turn * (wanted @ self._turn)
+        variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
+        variance += (numbers.model_share * float(np.linalg.norm(model))) ** 2
+        # Within a step of speeds the mean of two readings is not theirs.
+        variance += (self._constants[0] * samples.bend / (len(samples.times) - 1)) ** 2
+        noise = variance * np.eye(3)
+        found, square = self._updated(belief, by, wanted - model, noise, numbers.improbable)
+        if square > numbers.improbable:
+            # A push, or slip: the momentum is another one; or stamps are wrong.
+            covariance = belief.covariance.copy()
+            covariance[MOMENTUM, MOMENTUM] += numbers.push**2 * np.eye(3)
+            covariance[OFFSET, OFFSET] += numbers.offset**2
+            belief = belief._replace(covariance=covariance)
+            found, _ = self._updated(belief, by, wanted - model, noise, math.inf)
+        if samples.still:
+            # The rate of the shell is measured as well: it is zero.
+            measured = self.body_rates(found, np.array(samples.rates)).mean(axis=0)
+            at_rest = np.zeros((3, SIZE))
+            at_rest[:, GYRO_BIAS] = self._turn
+            found, _ = self._updated(
+                found, at_rest, measured, imu.gyro_noise**2 / duration * np.eye(3), math.inf
+            )
+        return found, square
+
+    def with_pose(
+        self, belief: Belief, pose: Vector, covariance: Vector, largest: float
+    ) -> tuple[Belief, float]:
+        """Return the belief with a measured pose, and the normalised square of its innovation.
+
+        `covariance`, shape (5, 5), is that of the error in the world frame. Beyond `largest` the
+        pose is not used.
+        """
+        turn = rotation.product(pose[QUATERNION], rotation.conjugate(belief.pose[QUATERNION]))
+        innovation = np.concatenate((
+            pose[POSITION] - belief.pose[POSITION], rotation.logarithm(turn)
+        ))
+        by = np.eye(5, SIZE)
+        return self._updated(belief, by, innovation, covariance, largest)
+
+    def _updated(
+        self, belief: Belief, by: Vector, innovation: Vector, noise: Vector, largest: float
+    ) -> tuple[Belief, float]:
+        """Return the belief updated by a measurement, unless its square is beyond `largest`."""
+        across = by @ belief.covariance
+        total = across @ by.T + noise
+        solved = np.linalg.solve(total, np.column_stack((innovation, across)))
+        square = float(innovation @ solved[:, 0])
+        if not square <= largest:
+            return belief, square
+        error = across.T @ solved[:, 0]
+        covariance = belief.covariance - across.T @ solved[:, 1:]
+        covariance = 0.5 * (covariance + covariance.T)
+        return Belief(
+            applied(belief.pose, error[POSE_ERROR]), belief.numbers + error[_FIRST:], covariance,
+            belief.unexplained,
+        ), square
+
+
+def replaced(belief: Belief, pose: Vector, covariance: Vector) -> Belief:
+    """Return a belief at another pose, with the covariance of its error, shape (5, 5)."""
+    changed = belief.covariance.copy()
+    changed[POSE_ERROR, :] = changed[:, POSE_ERROR] = 0.0
+    changed[POSE_ERROR, POSE_ERROR] = covariance
+    return Belief(pose, belief.numbers, changed, np.zeros(3))
+
+
+def applied(pose: Vector, error: Vector) -> Vector:
+    """Return a pose, shape (6,), changed by an error in the world frame, shape (5,)."""
+    q = rotation.product(rotation.exponential(error[2:]), pose[QUATERNION])
+    return np.concatenate((pose[POSITION] + error[:2], q / math.sqrt(float(q @ q))))
+
+
+def _cross(vector: Vector) -> Vector:
+    """Return the matrix of the cross product with a vector, shape (3, 3)."""
+    x, y, z = vector.tolist()
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))

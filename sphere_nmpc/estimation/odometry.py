@@ -1,0 +1,552 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Odometry of the sphere from inside: readings of an IMU and rotor speeds in, poses out.
+
+Readings are taken together over short intervals, at whose ends the filter is updated. Intervals
+are kept for a while, so that a pose which is measured elsewhere and arrives late is used at the
+instant of its measurement: the filter begins anew there.
+"""
+
+import math
+from bisect import bisect_left
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.inertial_filter import (
+    FORCE_BIAS,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    MOMENTUM,
+    OFFSET,
+    PHI,
+    POSE_ERROR,
+    RADIUS,
+    ROLL,
+    SIZE,
+    Belief,
+    InertialFilter,
+    Samples,
+    replaced,
+)
+from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
+from sphere_nmpc.estimation.sensor_faults import SensorFaults
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import QUATERNION, Vector, as_state
+
+_LEAST_DEVIATION = 1e-6
+"""Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
+_SIGNIFICANT = 4.0
+"""Standard deviations [-] that the mean rate at rest may be from the bias of the gyro."""
+_CONTRADICTED = 6.0
+"""Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
+
+
+class PoseEstimate(NamedTuple):
+    """Pose and velocity at the instant of a reading.
+
+    Attributes
+    ----------
+    time : float
+        Control time of the newest reading [s].
+    pose : ndarray, shape (6,)
+        Position [m] and quaternion wxyz, body to world.
+    covariance : ndarray, shape (5, 5)
+        Of the error [dx, dy, a1, a2, a3]: position [m; world frame], rotation [rad; body frame].
+    velocity : ndarray, shape (3,)
+        Of the centre [m/s; world frame].
+    body_rate : ndarray, shape (3,)
+        Angular velocity [rad/s; body frame].
+    twist_covariance : ndarray, shape (6, 6)
+        Of linear [m/s] and angular velocity [rad/s], both in the body frame.
+    """
+
+    time: float
+    pose: Vector
+    covariance: Vector
+    velocity: Vector
+    body_rate: Vector
+    twist_covariance: Vector
+
+
+class _Fix(NamedTuple):
+    """A pose that was measured elsewhere, with its covariance in the world frame, (5, 5)."""
+
+    time: float
+    pose: Vector
+    covariance: Vector
+
+
+class _Interval(NamedTuple):
+    """Readings of an interval that has ended, the belief at its start, and fixes at its end."""
+
+    start: Belief
+    samples: Samples
+    fixes: tuple[tuple[_Fix, bool], ...] = ()
+    """Each with whether it replaces the pose rather than being averaged with it."""
+
+
+class Odometry:
+    """Estimator of the pose from an IMU in the shell and the rotors' encoders.
+
+    Until the sphere has been at rest for `calibration_time` there is no estimate. Times are those
+    of measurement [s; control time].
+
+    Parameters
+    ----------
+    settings : OdometrySettings
+        Start, and what is known of robot and fixes.
+    imu : ImuSettings
+        Mounting and errors of the IMU.
+    robot : RobotParameters
+        Robot as built.
+    """
+
+    def __init__(
+        self, settings: OdometrySettings, imu: ImuSettings, robot: RobotParameters
+    ) -> None:
+        self._settings, self._imu = settings, imu
+        self._numbers = OdometryNumbers()
+        self._filter = InertialFilter(imu, robot, self._numbers)
+        self._robot = robot
+        self.faults = SensorFaults(imu, self._numbers)
+        """Faults of the sensors, and what has happened to the sphere."""
+        self.fixes_used = self.fixes_left_out = 0
+        """Numbers of fixes since the start."""
+        self._refused = 0
+        self.calibration = ""
+        """Biases that were found at rest, in one line; "" before."""
+        given = as_state(settings.initial_state)
+        self._given = _Fix(-math.inf, given, self._covariance(given, None))
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin anew without readings."""
+        self._belief: Belief | None = None
+        self._open = Samples([], [], [], [])
+        self._history: deque[_Interval] = deque()
+        self._encoders: list[tuple[float, Vector]] = []
+        self._pending: list[_Fix] = []
+        self._head: Vector = self._given.pose
+        self._rate = np.zeros(3)
+        self._was_still = False
+        self._quiet: deque[tuple[float, Vector]] = deque()
+        self._turned_at_rest = False
+        self._still_since = math.nan
+        self.is_calibrated = False
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The present conditions, the worst first."""
+        if not self.is_calibrated and self._open.times:
+            needed = f"{self._settings.calibration_time:g} s"
+            text = f"given no rest of {needed} yet, expected the robot to be left alone for it"
+            return (Condition(Kind.CALIBRATING, text), *self.faults.conditions)
+        return self.faults.conditions
+
+    @property
+    def estimate(self) -> PoseEstimate | None:
+        """The pose at the newest reading; None before the calibration."""
+        belief = self._belief
+        if belief is None or not self.is_calibrated:
+            return None
+        turn = rotation.matrix(self._head[QUATERNION])
+        to_body = np.eye(5)
+        to_body[2:, 2:] = turn.T
+        rolls = self._filter.rolled(belief) * ROLL
+        spread = belief.covariance[GYRO_BIAS, GYRO_BIAS]
+        spread = spread + np.eye(3) * self._imu.gyro_noise**2 / self._numbers.interval
+        by = np.vstack((turn.T @ rolls @ turn, np.eye(3)))
+        return PoseEstimate(
+            self._open.times[-1], self._head,
+            to_body @ belief.covariance[POSE_ERROR, POSE_ERROR] @ to_body.T,
+            rolls @ (turn @ self._rate), self._rate, by @ spread @ by.T,
+        )
+
+    @property
+    def gyro_bias(self) -> Vector:
+        """Bias of the gyro [rad/s; axes of the sensor], shape (3,)."""
+        return np.zeros(3) if self._belief is None else self._belief.value(GYRO_BIAS)
+
+    def observe_imu(self, time: float, rate: Vector, force: Vector) -> bool:
+        """Take a reading: angular velocity [rad/s] and specific force [m/s^2], axes of the sensor.
+
+        Return whether there is a new estimate. A reading that is not newer than the last one is
+        left out.
+        """
+        if not (math.isfinite(time) and np.isfinite(rate).all() and np.isfinite(force).all()):
+            raise InvalidInputError("IMU", [time, *rate, *force], "finite numbers")
+        return self._take(time, np.asarray(rate, float), np.asarray(force, float), True)
+
+    def observe_rotors(self, time: float, speeds: Vector, angles: Vector | None = None) -> bool:
+        """Take speeds [rad/s] and, where known, angles [rad] of the rotors, shape (2,) each.
+
+        Return whether there is a new estimate: without an IMU that moves by the rotors alone.
+        """
+        if not (math.isfinite(time) and np.isfinite(speeds).all()):
+            raise InvalidInputError("rotor speeds", [time, *speeds], "finite numbers")
+        if self._encoders and time <= self._encoders[-1][0]:
+            return False
+        self._encoders.append((time, np.asarray(speeds, float)))
+        self.faults.rotors(time, speeds, angles)
+        newest = self._open.times[-1] if self._open.times else math.nan
+        if time > newest + self._numbers.silence and self.is_calibrated:
+            self.faults.see(Kind.IMU_SILENT, time, f"given none for {time - newest:.2f} s")
+            rate, force = self._open.rates[-1], self._open.forces[-1]
+            for stamp in [stamp for stamp, _ in self._encoders if stamp > newest]:
+                self._take(stamp, rate, force, False)
+            return True
+        self._close_if_due()
+        return False
+
+    def set_pose(self, time: float, pose: Vector, covariance: Vector | None) -> None:
+        """Place the sphere, at the newest reading.
+
+        `covariance`, shape (5, 5), is that of `PoseEstimate`, None where it is not known. Where
+        the tilt has a variance of 0, as RViz sends it, or is contradicted by gravity, position
+        and heading are taken alone.
+        """
+        pose = as_state(pose)
+        given = _Fix(time, pose, self._covariance(pose, covariance))
+        if self._belief is None:
+            self._given = given
+            return
+        self._close()
+        vertical = rotation.vertical(self._belief.pose[QUATERNION])
+        spread = math.sqrt(float(np.max(np.diag(self._belief.covariance)[PHI][:2])))
+        self._belief = self._placed(self._belief, given, vertical, spread)
+        self._history.clear()
+        self._refused = 0
+        self.faults.placed()
+        self._head = self._belief.pose
+
+    def correct(self, time: float, pose: Vector, covariance: Vector | None) -> Condition | None:
+        """Take a pose that was measured elsewhere at `time` [s]; see `set_pose`.
+
+        Return why it is not used, or None. One that is ahead of the readings waits for them.
+        """
+        pose = as_state(pose)
+        if not math.isfinite(time):
+            raise InvalidStateError("time of the fix", time, "a finite number [s]")
+        fix = _Fix(time, pose, self._covariance(pose, covariance))
+        if self._belief is None:
+            return self._left_out("given a fix before the first reading of the IMU")
+        newest = self._open.times[-1]
+        if time > newest + self._settings.fix_memory:
+            return self._left_out(
+                f"given a stamp {time - newest:.3g} s ahead of the newest reading of the IMU, "
+                "expected the clock of the IMU"
+            )
+        oldest = self._history[0].samples.times[0] if self._history else self._open.times[0]
+        if time < max(oldest, newest - self._settings.fix_memory):
+            return self._left_out(
+                f"given a fix {newest - time:.3g} s old, expected at most "
+                f"{min(newest - oldest, self._settings.fix_memory):.3g} s (fix_memory)"
+            )
+        if time > self._open.times[0]:
+            self._pending.append(fix)
+            return None
+        return self._use(fix)
+
+    def check(self, time: float) -> None:
+        """Notice sensors that are silent at control time `time` [s]."""
+        newest = self._open.times[-1] if self._open.times else -math.inf
+        if time > newest + self._numbers.silence:
+            given = "given none" if newest < 0.0 else f"given none for {time - newest:.2f} s"
+            self.faults.see(Kind.IMU_SILENT, time, given)
+        rotors = self._encoders[-1][0] if self._encoders else -math.inf
+        if time > rotors + self._numbers.silence:
+            self.faults.see(Kind.ENCODERS_SILENT, time, "rest and pushes cannot be told")
+        self.faults.forget_before(time - self._numbers.remembered)
+
+    def forget(self) -> None:
+        """Discard all readings, as after a jump of the clock; the pose stays."""
+        if self._belief is not None:
+            world = self._belief.covariance[POSE_ERROR, POSE_ERROR]
+            self._given = _Fix(-math.inf, self._head, world)
+        self._begin()
+
+    def _covariance(self, pose: Vector, covariance: Vector | None) -> Vector:
+        """Return the covariance of a given pose in the world frame."""
+        given = self._settings
+        if covariance is None:
+            deviations = [given.position_deviation] * 2 + [given.orientation_deviation] * 3
+            covariance = np.diag(np.square(deviations))
+        turn = np.eye(5)
+        turn[2:, 2:] = rotation.matrix(pose[QUATERNION])
+        found: Vector = turn @ covariance @ turn.T + _LEAST_DEVIATION**2 * np.eye(5)
+        return found
+
+    def _left_out(self, text: str) -> Condition:
+        self.fixes_left_out += 1
+        return Condition(Kind.FIX_LEFT_OUT, text)
+
+    def _take(self, time: float, rate: Vector, force: Vector, usable: bool) -> bool:
+        """Append a sample to the open interval, move the pose by it, and close it where due."""
+        samples = self._open
+        if samples.times and time <= samples.times[-1]:
+            return False
+        if usable:
+            usable = self.faults.reading(time, rate, force)
+        samples.valid.append(usable)
+        samples.times.append(time)
+        samples.rates.append(rate)
+        samples.forces.append(force)
+        self._advance_head(len(samples.times) - 1)
+        self._close_if_due()
+        return self.is_calibrated
+
+    def _advance_head(self, last: int) -> None:
+        """Move the pose by the readings up to one of the open interval."""
+        belief, samples = self._belief, self._open
+        if belief is None or last == 0:
+            return
+        pair = self._rates(belief, samples, last - 1)
+        step, self._rate = samples.times[last] - samples.times[last - 1], pair[1]
+        if self._was_still and self._is_slow(pair[1], step):
+            self._rate = np.zeros(3)
+            return
+        radius = self._filter.rolled(belief)
+        self._head, _ = self._filter.moved(self._head, 0.5 * (pair[0] + pair[1]) * step, radius)
+
+    def _rates(self, belief: Belief, samples: Samples, first: int) -> Vector:
+        """Return the angular velocities of two readings [rad/s; body frame], shape (2, 3)."""
+        if all(samples.valid[first : first + 2]) or not self._encoders:
+            return self._filter.body_rates(belief, np.array(samples.rates[first : first + 2]))
+        turn = rotation.matrix(self._head[QUATERNION])
+        rate = self._filter.model_rate(belief, turn, self._encoders[-1][1])[0]
+        return np.array((rate, rate))
+
+    def _is_slow(self, rate: Vector, step: float) -> bool:
+        """Return whether an angular velocity may be noise of the gyro at rest."""
+        return float(rate @ rate) < (_CONTRADICTED * self._imu.gyro_noise) ** 2 / step
+
+    def _close_if_due(self) -> None:
+        """End the open interval where it is long enough and the speeds of the rotors are there."""
+        times, numbers = self._open.times, self._numbers
+        due = times[0] + numbers.interval * (1.0 - 1e-6) if times else math.inf
+        if not times or times[-1] < due:
+            return
+        end = bisect_left(times, due)
+        # A reading further, as the acceleration is that of the speeds before and after.
+        step = (times[end] - times[0]) / end
+        late = 0.0 if self._belief is None else float(self._belief.numbers[OFFSET - 5])
+        newest = self._encoders[-1][0] if self._encoders else -math.inf
+        if newest > times[end] + late + 0.9 * step or times[-1] > times[end] + numbers.silence:
+            self._close(end)
+
+    def _close(self, end: int = -1) -> None:
+        """End the open interval at one of its readings; the others begin the next one."""
+        whole = self._open
+        end = len(whole.times) - 1 if end < 0 else end
+        if end < 1:
+            return
+        before, after = whole.part(slice(0, end + 1)), whole.part(slice(end, None))
+        belief = self._belief or self._started(before)
+        samples = self._with_speeds(belief, before)
+        samples = samples._replace(still=self._is_still(belief, samples))
+        self._history.append(_Interval(belief, samples))
+        self._belief, findings = self._filter.advance(belief, samples)
+        self._open, self._was_still = after, samples.still
+        self.faults.interval(samples, findings, self._belief)
+        self._calibrate(samples, self._belief)
+        due = [fix for fix in self._pending if fix.time <= samples.times[-1]]
+        self._pending = [fix for fix in self._pending if fix.time > samples.times[-1]]
+        for fix in due:
+            self._use(fix)
+        self._follow_readings()
+        oldest = samples.times[-1] - self._settings.fix_memory
+        while len(self._history) > 1 and self._history[1].samples.times[0] < oldest:
+            self._history.popleft()
+        kept = samples.times[0] - 2.0 * self._numbers.interval
+        while len(self._encoders) > 2 and self._encoders[1][0] < kept:
+            del self._encoders[0]
+
+    def _follow_readings(self) -> None:
+        """Move the pose by the readings since the last interval."""
+        if self._belief is not None:
+            self._head = self._belief.pose
+            for last in range(1, len(self._open.times)):
+                self._advance_head(last)
+
+    def _started(self, samples: Samples) -> Belief:
+        """Return the belief in the given pose, with the tilt that gravity shows."""
+        imu, given = self._imu, self._settings
+        deviations: Vector = np.zeros(SIZE)
+        deviations[GYRO_BIAS], deviations[GYRO_SCALE] = imu.gyro_bias, imu.gyro_scale
+        deviations[FORCE_BIAS] = imu.accelerometer_bias
+        deviations[MOMENTUM] = self._numbers.push
+        deviations[17:20] = given.constants_deviation
+        deviations[RADIUS], deviations[OFFSET] = given.radius_deviation, self._numbers.offset
+        belief = Belief(
+            self._given.pose, np.zeros(SIZE - 5), np.diag(deviations**2), np.zeros(3)
+        )
+        force = imu.turn @ np.mean(samples.forces, axis=0)
+        vertical = force / max(float(np.linalg.norm(force)), 1e-3)
+        return self._placed(belief, self._given, vertical, imu.accelerometer_bias / GRAVITY)
+
+    def _placed(self, belief: Belief, given: _Fix, vertical: Vector, spread: float) -> Belief:
+        """Return the belief of a sphere that is put at a given pose.
+
+        `vertical` is that in the body frame as gravity shows it, shape (3,), and `spread` its
+        standard deviation [rad].
+        """
+        pose, covariance = given.pose, given.covariance
+        stated = rotation.vertical(pose[QUATERNION])
+        tilt = float(np.trace(covariance[2:4, 2:4]))
+        axis = np.cross(vertical, stated).astype(float)
+        length = float(np.linalg.norm(axis))
+        between = math.atan2(length, float(stated @ vertical))
+        is_unknown = tilt < 4.0 * _LEAST_DEVIATION**2
+        allowed = _CONTRADICTED * math.sqrt(tilt + spread**2)
+        if is_unknown or between > allowed:
+            if not is_unknown:
+                self.faults.see(
+                    Kind.TILT_REPLACED, given.time,
+                    f"given a pose whose vertical is {math.degrees(between):.1f} deg from that "
+                    f"of the accelerometer, expected at most {math.degrees(allowed):.1f} deg; "
+                    "position and heading are taken",
+                )
+            if length < 1e-9:
+                axis, length = np.array((1.0, 0.0, 0.0)), 1.0
+            turn = rotation.exponential(axis * (between / length))
+            q = rotation.product(pose[QUATERNION], turn)
+            pose = np.concatenate((pose[:2], q / math.sqrt(float(q @ q))))
+            covariance = covariance.copy()
+            covariance[2:4, :] = covariance[:, 2:4] = 0.0
+            covariance[2, 2] = covariance[3, 3] = spread**2
+        return replaced(belief, pose, covariance)
+
+    def _with_speeds(self, belief: Belief, samples: Samples) -> Samples:
+        """Return an interval with the speeds of the rotors, where they are known."""
+        encoders, late = self._encoders, float(belief.numbers[OFFSET - 5])
+        times = samples.times
+        step = (times[-1] - times[0]) / (len(times) - 1)
+        stamps = [time for time, _ in encoders]
+        until = times[-1] + 0.9 * step + late
+        is_known = bool(stamps) and stamps[0] <= times[0] + late and until <= stamps[-1]
+        if not is_known or self.faults.are_encoders_stuck:
+            return samples._replace(bend=step * self._robot.max_rotor_acceleration)
+        speeds = np.array([speed for _, speed in encoders])
+        wanted = np.array([times[0] - step, *times, times[-1] + step]) + late
+        found = np.column_stack([np.interp(wanted, stamps, column) for column in speeds.T])
+        bend = float(np.linalg.norm(np.diff(found, 2, axis=0)))
+        return samples._replace(speeds=found[1:-1], bend=bend)
+
+    def _is_still(self, belief: Belief, samples: Samples) -> bool:
+        """Return whether rotors and shell are at rest.
+
+        With the rotors at rest the shell may still turn slowly, by a momentum. That shows in the
+        mean over a while, and once it has, a whole such while without it is needed.
+        """
+        speeds, numbers = samples.speeds, self._numbers
+        gain = self._robot.lumped.input_gain
+        is_quiet = speeds is not None and samples.usable
+        if speeds is None or not is_quiet or gain * float(np.max(np.abs(speeds))) > numbers.still:
+            self._quiet.clear()
+            self._turned_at_rest = False
+            return False
+        rates = np.array(samples.rates)
+        duration = samples.times[-1] - samples.times[0]
+        self._quiet.append((duration, duration * 0.5 * (rates[:-1] + rates[1:]).mean(axis=0)))
+        while sum(one for one, _ in self._quiet) > numbers.rest * (1.0 + 1e-6):
+            self._quiet.popleft()
+        whole = sum(one for one, _ in self._quiet)
+        mean = np.sum([turned for _, turned in self._quiet], axis=0) / whole
+        rate = self._filter.body_rates(belief, mean[None])[0]
+        spread = np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS])
+        spread += 3.0 * self._imu.gyro_noise**2 / whole
+        if float(rate @ rate) > _SIGNIFICANT**2 * float(spread):
+            self._turned_at_rest = True
+            self._quiet.clear()
+        elif whole > numbers.rest - duration:
+            self._turned_at_rest = False
+        return not self._turned_at_rest
+
+    def _calibrate(self, samples: Samples, belief: Belief) -> None:
+        """Note that the sphere rests, and for how long."""
+        if self.is_calibrated:
+            return
+        if not samples.still and self._settings.calibration_time > 0.0:
+            self._still_since = math.nan
+            return
+        if math.isnan(self._still_since):
+            self._still_since = samples.times[0]
+        rested = samples.times[-1] - self._still_since
+        if rested >= self._settings.calibration_time * (1.0 - 1e-6):
+            self.is_calibrated = True
+            bias = ", ".join(f"{math.degrees(one):.3f}" for one in belief.value(GYRO_BIAS))
+            left = math.sqrt(float(np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS])) / 3.0)
+            self.calibration = (
+                f"gyro bias [{bias}] deg/s +- {math.degrees(left):.3f}, {rested:.1f} s at rest"
+            )
+
+    def _use(self, fix: _Fix) -> Condition | None:
+        """Use a fix at the instant of its measurement, and repeat what follows it."""
+        found = self._split(fix.time)
+        interval, numbers = self._history[found], self._numbers
+        belief, samples = self._end_of(interval), interval.samples
+        # The nearest reading is up to half a sample from it.
+        ahead = samples.times[-1] - fix.time
+        rate = self._filter.body_rates(belief, np.array(samples.rates[-1:]))[0]
+        turned = ahead * (np.zeros(3) if samples.still else rate)
+        pose, _ = self._filter.moved(fix.pose, turned, self._filter.rolled(belief))
+        fix = _Fix(samples.times[-1], pose, fix.covariance)
+        # Several in a row agree with each other rather than with the filter.
+        limit = math.inf if self._refused >= numbers.most_outliers else numbers.improbable
+        _, square = self._filter.with_pose(belief, fix.pose, fix.covariance, limit)
+        if square > limit:
+            self._refused += 1
+            off = float(np.linalg.norm(fix.pose[:2] - belief.pose[:2]))
+            spread = math.sqrt(float(np.trace(belief.covariance[:2, :2] + fix.covariance[:2, :2])))
+            text = (
+                f"given a position {off:.3g} m from that estimated, expected some {spread:.2g} m; "
+                f"after {numbers.most_outliers} of them in a row the next one is believed"
+            )
+            self.faults.see(Kind.FIX_LEFT_OUT, fix.time, text)
+            return self._left_out(text)
+        more = (fix, square > numbers.improbable)
+        self._history[found] = interval._replace(fixes=(*interval.fixes, more))
+        self._refused = 0
+        self.fixes_used += 1
+        self.faults.placed()
+        for k in range(found, len(self._history)):
+            belief = self._end_of(self._history[k])
+            if k + 1 < len(self._history):
+                self._history[k + 1] = self._history[k + 1]._replace(start=belief)
+        self._belief = belief
+        self._follow_readings()
+        return None
+
+    def _end_of(self, interval: _Interval) -> Belief:
+        """Return the belief at the end of an interval, with its fixes."""
+        belief, _ = self._filter.advance(interval.start, interval.samples)
+        for fix, replaces in interval.fixes:
+            if replaces:
+                belief = replaced(belief, fix.pose, fix.covariance)
+            else:
+                belief, _ = self._filter.with_pose(belief, fix.pose, fix.covariance, math.inf)
+        return belief
+
+    def _split(self, time: float) -> int:
+        """Return the interval at whose end a time is, but for half a sample; split one for it."""
+        ends = [interval.samples.times[-1] for interval in self._history]
+        k = min(bisect_left(ends, time), len(ends) - 1)
+        start, samples, fixes = self._history[k]
+        times = samples.times
+        nearest = min(range(len(times)), key=lambda j: abs(times[j] - time))
+        if nearest == len(times) - 1 or (nearest == 0 and k == 0):
+            return k
+        if nearest == 0:
+            return k - 1
+        first, second = samples.part(slice(0, nearest + 1)), samples.part(slice(nearest, None))
+        self._history[k] = _Interval(start, first)
+        belief, _ = self._filter.advance(start, first)
+        self._history.insert(k + 1, _Interval(belief, second, fixes))
+        return k

@@ -1,0 +1,133 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the sensors in the shell, and what has happened to the sphere, as conditions."""
+
+import math
+
+import numpy as np
+
+from sphere_nmpc.conditions import Condition, Kind, worst_first
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.inertial_filter import OFFSET, Belief, Findings, Samples
+from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
+from sphere_nmpc.model.state import Vector
+
+_SATURATED = 0.999
+"""Share of the range at which a gyro counts as saturated [-]."""
+_REPEATED = 3
+"""Equal readings in a row of a sensor that is stuck: noise changes some digit of six each time."""
+_CONTRADICTIONS = 4
+"""Intervals in which the shell turns otherwise than by angles that stand still: a push is one."""
+_SIGNIFICANT = 4.0
+"""Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
+_LATE = 5e-3
+"""Offset of stamps that is told [s]: at full acceleration the rotors change by 2 rad/s in it."""
+
+
+class SensorFaults:
+    """Conditions of the odometry, each of which is told for a while after it was last seen."""
+
+    def __init__(self, imu: ImuSettings, numbers: OdometryNumbers) -> None:
+        self._imu, self._numbers = imu, numbers
+        self._seen: dict[Kind, tuple[float, str]] = {}
+        self._last: Vector = np.zeros(6)
+        self._equal = 0
+        self._angles: tuple[float, Vector] | None = None
+        self._contradictions = 0
+        self.are_encoders_stuck = False
+        """Whether the encoders have shown no turning although the rotors turn."""
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The present ones, the worst first."""
+        return worst_first(Condition(kind, text) for kind, (_, text) in self._seen.items())
+
+    def see(self, kind: Kind, time: float, text: str) -> None:
+        """Note a condition at control time `time` [s]."""
+        self._seen[kind] = time, text
+
+    def forget_before(self, time: float) -> None:
+        """Forget what was last seen before a time [s], but not that the position is unknown."""
+        self._seen = {
+            kind: seen for kind, seen in self._seen.items()
+            if seen[0] >= time or kind is Kind.LIFTED
+        }
+
+    def placed(self) -> None:
+        """Note that the position is known again."""
+        self._seen.pop(Kind.LIFTED, None)
+
+    def reading(self, time: float, rate: Vector, force: Vector) -> bool:
+        """Return whether a reading of the IMU can be believed."""
+        reading = np.concatenate((rate, force))
+        self._equal = self._equal + 1 if np.array_equal(reading, self._last) else 0
+        self._last = reading
+        self._seen.pop(Kind.IMU_SILENT, None)
+        if float(np.max(np.abs(rate))) >= _SATURATED * self._imu.gyro_range:
+            self.see(
+                Kind.GYRO_SATURATED, time,
+                f"given {np.max(np.abs(rate)):.3g} rad/s, expected less than gyro_range = "
+                f"{self._imu.gyro_range:.3g} rad/s; the rotors tell how it turns meanwhile",
+            )
+            return False
+        return self._equal < _REPEATED or not self._is_moving
+
+    _is_moving = False
+    """Whether the rotors turn the shell, so that readings have to differ."""
+
+    def rotors(self, time: float, speeds: Vector, angles: Vector | None) -> None:
+        """Take speeds [rad/s] and angles [rad] of the rotors."""
+        self._seen.pop(Kind.ENCODERS_SILENT, None)
+        if angles is None:
+            return
+        if self._angles is None or not np.array_equal(angles, self._angles[1]):
+            self._angles, self.are_encoders_stuck = (time, np.array(angles)), False
+            self._contradictions = 0
+        turned = float(np.max(np.abs(speeds))) * (time - self._angles[0])
+        is_stuck = time - self._angles[0] > self._numbers.silence and turned > 1.0
+        if is_stuck or self._contradictions >= _CONTRADICTIONS:
+            self.are_encoders_stuck = True
+            self.see(
+                Kind.ENCODERS_STUCK, time,
+                f"given angles that stand still at {np.max(np.abs(speeds)):.3g} rad/s while the "
+                "shell turns otherwise, expected those of the rotors; they are left out",
+            )
+
+    def interval(self, samples: Samples, findings: Findings, belief: Belief) -> None:
+        """Take what an interval has shown."""
+        time, numbers = samples.times[-1], self._numbers
+        self._is_moving = samples.speeds is not None and not samples.still
+        if self._equal >= _REPEATED and not samples.usable:
+            self.see(
+                Kind.IMU_STUCK, time,
+                f"given the same reading {self._equal + 1} times while the rotors turn, expected "
+                "noise; the rotors tell how it turns meanwhile",
+            )
+        jump = findings.jump
+        if findings.force > numbers.improbable:
+            if abs(belief.unexplained[2]) > numbers.lift:
+                self.see(
+                    Kind.LIFTED, time,
+                    f"given a vertical velocity of {belief.unexplained[2]:+.2f} m/s; the position "
+                    "is not known until pose_fix or initialpose tells it",
+                )
+            else:
+                self.see(
+                    Kind.SLIPPED, time,
+                    f"given a change of velocity by {math.hypot(jump[0], jump[1]):.2g} m/s that "
+                    "rolling does not explain; the position is less certain",
+                )
+        elif findings.rate > numbers.improbable:
+            self._contradictions += 1
+            self.see(
+                Kind.PUSHED, time,
+                "given an angular velocity that the rotors do not explain, with a momentum",
+            )
+        offset = float(belief.numbers[OFFSET - 5])
+        spread = math.sqrt(float(belief.covariance[OFFSET, OFFSET]))
+        if abs(offset) > max(_LATE, _SIGNIFICANT * spread):
+            self.see(
+                Kind.ENCODERS_LATE, time,
+                f"given stamps of the rotor speeds {1e3 * offset:.1f} ms behind those of the IMU, "
+                "expected the same clock; they are shifted by that",
+            )

@@ -1,0 +1,67 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of a simulated run from an odometry, which has IMU and encoders alone."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry_settings import OdometrySettings
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.world.imu_sensor import ImuReading, ImuSensor
+from sphere_sim.world.simulator import Simulator
+
+
+class OdometryPoses:
+    """Odometry that reads the IMU of a simulator, and knows at which pose the run starts.
+
+    It is calibrated with what the IMU measured before the run, while the sphere was at rest.
+    `robot` has the parameters that the odometry has, which are not the true ones.
+    """
+
+    def __init__(
+        self, simulator: Simulator, imu: ImuSensor, settings: OdometrySettings,
+        robot: RobotParameters,
+    ) -> None:
+        start = simulator.plant.state
+        settings = replace(settings, initial_state=tuple(start.tolist()))
+        self._simulator = simulator
+        self.odometry = Odometry(settings, imu.settings, robot)
+        # The calibration ends with an interval, behind which a reading of the encoders is needed.
+        self._take(imu.at_rest(settings.calibration_time + 0.2, simulator.plant))
+        self._take(simulator.imu_readings())
+
+    def _take(self, readings: Iterable[ImuReading]) -> None:
+        for reading in readings:
+            time = reading.stamp / NANOSECONDS
+            self.odometry.observe_imu(time, reading.rate, reading.force)
+            self.odometry.observe_rotors(time, reading.speeds, reading.angles)
+
+    def __call__(self) -> list[tuple[int, Vector]]:
+        """Return stamp [ns] and pose, shape (6,), of the newest reading."""
+        self._take(self._simulator.imu_readings())
+        found = self.odometry.estimate
+        return [] if found is None else [(round(found.time * NANOSECONDS), found.pose)]
+
+    def errors(self) -> tuple[float, float]:
+        """Return how far position [m] and heading [deg] are from the true ones at present."""
+        found = self()
+        if not found:
+            return math.nan, math.nan
+        return pose_errors(found[-1][1], self._simulator.plant.state)
+
+
+def pose_errors(pose: Vector, true: Vector) -> tuple[float, float]:
+    """Return how far a position [m] and a heading [deg] are from the true ones, shape (6,) each.
+
+    That of the heading is the vertical part of the rotation between the orientations.
+    """
+    turn = rotation.product(pose[QUATERNION], rotation.conjugate(true[QUATERNION]))
+    return (
+        math.dist(pose[POSITION], true[POSITION]),
+        abs(math.degrees(rotation.logarithm(turn)[2])),
+    )

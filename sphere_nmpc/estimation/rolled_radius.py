@@ -13,7 +13,7 @@ _STILL = 1e-3
 """Displacement within it up to which the sphere rests [m]."""
 _SHORTEST = 1.0
 """Shortest way [m]: on it a millimetre of the tape is a part in a thousand of the radius."""
-_STRAIGHT = 0.02
+_STRAIGHT = 0.05
 """Largest excess of the length of the path over the distance of its ends [-]."""
 
 
@@ -22,9 +22,10 @@ def rolled_radius(
 ) -> tuple[float, float]:
     """Return the radius that makes a way as long as it was measured, and its estimated length [m].
 
-    The estimate is proportional to the radius [m] that it was made with. `times` [s], shape (K,),
+    The estimate is proportional to the radius [m] that it was made with, unless the odometry
+    estimates that, too, which it does not with `radius_deviation` 0. `times` [s], shape (K,),
     rise, `places` [m], shape (K, 2), are those of the centre then; `distance` [m] was measured
-    between its ends. `InvalidInputError` is raised where that is no straight way of a metre or
+    between the ends. `InvalidInputError` is raised where that is no straight way of a metre or
     more, or the sphere does not rest at both ends.
     """
     ends = list[Vector]()

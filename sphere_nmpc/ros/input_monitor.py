@@ -115,6 +115,8 @@ class InputMonitor:
             self._compared_at, self._incompatible = wall, graph.incompatible()
         if any(fault.subject == self.topic for fault in self._incompatible):
             found = [fault for fault in found if fault.kind is not self._source.missing]
+        names = {fault.name for fault in found}
+        further = [fault for fault in further if fault.name not in names]
         graph.update([*self._incompatible, *found, *further])
 
 

@@ -34,7 +34,9 @@ def mounting(description: str, frame: str, body: str) -> tuple[Vector, Vector]:
         raise InvalidParameterError(
             "robot_description", description, f"a robot as URDF ({error})"
         ) from None
-    place, turn, link = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), frame
+    place: Vector = np.zeros(3)
+    turn: Vector = np.array([1.0, 0.0, 0.0, 0.0])
+    link = frame
     left = dict(parents)
     while link != body:
         if link not in left:

@@ -45,9 +45,9 @@ def mounting(description: str, frame: str, body: str) -> tuple[Vector, Vector]:
                 "frame", frame, f"{body}, or a link that fixed joints of robot_description join "
                 f"to it; fixed links are {fixed}",
             )
-        link, xyz, rpy = left.pop(link)  # each once: joints may lead in a circle
-        own = _turn(rpy)
-        place, turn = xyz + rotation.matrix(own) @ place, rotation.product(own, turn)
+        link, offset, angles = left.pop(link)  # each once: joints may lead in a circle
+        own = _turn(angles)
+        place, turn = offset + rotation.matrix(own) @ place, rotation.product(own, turn)
     return place, turn
 
 

@@ -40,14 +40,17 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchContext, LaunchDescription
 from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model.state import upright_state
+from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.round_numbers import grid_cell
+from sphere_sim.recording.recorder_settings import DEFAULT_TOPICS
 from sphere_sim.ros.session.other_publishers import FOUND, TOPICS
 from sphere_sim.viewer.source import DEFAULT_RADIUS
-from sphere_sim.world.settings import PLANTS
+from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 PACKAGE = "sphere_nmpc"
 SHARE = Path(get_package_share_directory(PACKAGE))
@@ -63,6 +66,8 @@ RECORDED = (
 ends after the first matched subscription, which has to be the one that is meant. The accepted
 goals are in active_goal, map and areas to keep out of in floor, the pushes in pushed. Without imu,
 which is read only while it has a subscription."""
+OF_ODOMETRY = ("imu", "odometry/status", "ground_truth/pose", "ground_truth/odom")
+"""Recorded as well with an odometry node, with which the IMU is read in any case."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]
@@ -101,6 +106,8 @@ ARGUMENTS: dict[str, tuple[str, Sequence[str] | None, str]] = {
     "record": ("false", BOOLEAN, "Write a bag"),
     "rviz": ("false", BOOLEAN, "Start RViz"),
     "viewer": ("false", BOOLEAN, "Serve the page of the viewer"),
+    "odometry": ("false", BOOLEAN, "Estimate the poses from the IMU in the simulated sphere, "
+                 "whose own are then on ground_truth/pose"),
     "navigator": ("false", BOOLEAN, "Offer the actions of Nav2, for which nav2_msgs is needed"),
     "respawn": ("false", BOOLEAN, "Restart nodes that have ended, rather than end the launch; a "
                 "controller then continues to its goal"),
@@ -133,8 +140,9 @@ def actions(context: LaunchContext) -> list:
         simulator["plant"] = plant
     if factor := value["real_time_factor"]:
         simulator["real_time_factor"] = number(factor)
-    if start := value["initial_state"]:
-        simulator["initial_state"] = initial_state(start)
+    given = value["initial_state"]
+    start = {"initial_state": initial_state(given)} if given else {}
+    simulator |= start
     following = {**clock, **frame}
     controller = dict(following)
     if given := value["map"]:
@@ -145,6 +153,8 @@ def actions(context: LaunchContext) -> list:
         value[name] in TRUE for name in ("record", "viewer", "rviz", "navigator", "respawn")
     )
     controller |= {"goal_memory": RESPAWN_MEMORY} if respawn else {}
+    has_odometry = value["odometry"] in TRUE
+    simulator |= {"pose_source": "odometry"} if has_odometry else {}
     for argument, wanted, package in (("rviz", shown, "rviz2"), ("navigator", navigator, ACTIONS)):
         if wanted and not is_installed(package):
             remedy = f"apt install ros-jazzy-{package.replace('_', '-')}"
@@ -160,6 +170,10 @@ def actions(context: LaunchContext) -> list:
         Node(executable="simulator", parameters=[params, simulator], **own),
         Node(executable="controller", parameters=[params, controller], **own),
     ]
+    if has_odometry:
+        nodes.append(Node(executable="odometry", parameters=[
+            params, {**of_simulator(params), **start, **following, **prefix},
+        ], **own))
     urdf = robot_description(params, place) if shown or is_installed(STATE_PUBLISHER) else ""
     if is_installed(STATE_PUBLISHER):
         # Without a type launch reads the text as YAML, which the colon of a comment makes invalid.
@@ -169,7 +183,7 @@ def actions(context: LaunchContext) -> list:
     if navigator:
         nodes.append(Node(executable="navigator", parameters=[params, following], **own))
     if record:
-        nodes.append(recording(params, clock, own, place))
+        nodes.append(recording(params, clock, own, place, OF_ODOMETRY if has_odometry else ()))
     if viewer:
         nodes.append(Node(executable="viewer", parameters=[frame], **own))
     if shown:
@@ -295,14 +309,32 @@ def robot_description(params: str, place: str) -> str:
     return done.stdout
 
 
+def of_simulator(params: str) -> dict[str, Any]:
+    """Return start, IMU and robot of the simulator with a file of parameters, for the odometry."""
+    given: dict[str, Any] = {}
+    for name, node in yaml.safe_load(Path(params).read_text(encoding="utf-8")).items():
+        if name.rpartition("/")[2] in ("simulator", "**"):
+            given |= node.get("ros__parameters", {})
+    found = {"initial_state": list(SimulatorSettings().initial_state)}
+    found |= {name: given[name] for name in ("initial_state", "imu", "robot") if name in given}
+    if "imu" in found:  # rate and latency are those of a simulated one
+        known = quantities(ImuSettings())
+        found["imu"] = {name: value for name, value in found["imu"].items() if name in known}
+    return found
+
+
 def recording(
-    params: str, clock: dict[str, bool], own: dict[str, Any], place: str
+    params: str, clock: dict[str, bool], own: dict[str, Any], place: str, more: Sequence[str]
 ) -> Node | ExecuteProcess:
-    """Return rosbag2's recorder if installed, else the package's own; the format is the same."""
+    """Return rosbag2's recorder if installed, else the package's own; the format is the same.
+
+    `more` are relative topics besides those of every run.
+    """
     # rosbag2 cannot use the clock of a namespace.
     if place or not (is_installed("ros2bag") and is_installed("rosbag2_storage_mcap")):
-        return Node(executable="recorder", parameters=[params, clock], **own)
-    topics = [f"/{topic}" for topic in RECORDED] + list(ABSOLUTE)
+        topics = {"topics": [*DEFAULT_TOPICS, *more]} if more else {}
+        return Node(executable="recorder", parameters=[params, {**clock, **topics}], **own)
+    topics = [f"/{topic}" for topic in (*RECORDED, *more)] + list(ABSOLUTE)
     folder = f"runs/{datetime.now():%Y-%m-%d_%H-%M-%S}"
     follow = ["--use-sim-time"] if clock["use_sim_time"] else []
     return ExecuteProcess(

@@ -10,11 +10,17 @@ after these, shape (8,).
 
 import numpy as np
 
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, STATE_SIZE, Vector
 
 ERROR_SIZE = STATE_SIZE - 1
 """Size of the error of a state: a rotation vector has a number less than a quaternion."""
+
+
+_ROUNDING = 1e-6
+"""Asymmetry and negative eigenvalues of a given covariance that count as rounding, over its
+largest variance [-]."""
 
 
 def apply_error(state: Vector, error: Vector) -> Vector:
@@ -31,3 +37,47 @@ def error_between(state: Vector, other: Vector) -> Vector:
         other[POSITION] - state[POSITION], rotation.logarithm(turn),
         other[MOMENTUM] - state[MOMENTUM],
     ))
+
+
+def _by_fixed_axes(pose: Vector) -> Vector:
+    """Return the matrix, shape (6, 5), from the error of a pose to [dx, dy, dz, turn; world]."""
+    jacobian = np.zeros((6, 5))
+    jacobian[:2, :2] = np.eye(2)
+    jacobian[3:, 2:] = rotation.matrix(pose[QUATERNION])
+    return jacobian
+
+
+def fixed_axes_covariance(pose: Vector, covariance: Vector, height_deviation: float) -> Vector:
+    """Return the covariance of x, y, z [m] and turns about the world's axes [rad], shape (6, 6).
+
+    `covariance`, shape (5, 5), is that of the error of the pose, shape (6,); the height of the
+    centre is known as well as the radius, with a standard deviation [m].
+    """
+    jacobian = _by_fixed_axes(pose)
+    found: Vector = jacobian @ covariance @ jacobian.T
+    found[2, 2] = height_deviation**2
+    return found
+
+
+def error_covariance(pose: Vector, given: Vector) -> Vector | None:
+    """Return the covariance, shape (5, 5), of the error of a pose, shape (6,).
+
+    `given`, shape (6, 6), is that of x, y, z [m] and turns about the world's axes [rad]; zeros
+    stand for an unknown one, for which None is returned. One that is not finite, symmetric and
+    positive semi-definite raises `InvalidInputError`.
+    """
+    if not given.any():
+        return None
+    allowed = _ROUNDING * np.max(np.abs(np.diag(given)))
+    if np.isfinite(given).all():
+        half = 0.5 * given  # sums of the largest numbers would overflow
+        symmetric = half + half.T
+        if np.max(np.abs(half - half.T)) <= allowed and (
+            np.linalg.eigvalsh(symmetric)[0] >= -allowed
+        ):
+            jacobian = _by_fixed_axes(pose)
+            return jacobian.T @ symmetric @ jacobian
+    raise InvalidInputError(
+        "covariance", given.tolist(), "a finite, symmetric and positive semi-definite matrix, or "
+        "zeros where it is unknown",
+    )

@@ -33,6 +33,8 @@ NAMED_WITHIN = 3.0
 """Longest wait for the name of a node that was found [s, wall]; it mostly follows within one."""
 _OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 _USE_NAMESPACE = "start a further robot in a namespace, -r __ns:=/second"
+CLOCK_EFFECT, POSE_EFFECT = "time jumps between them", "the pose jumps between them"
+"""What several publishers of clock and pose cause."""
 _MOST_NAMES = 8
 """Names of nodes in a message."""
 _KILLED = "a node that was killed is counted for up to 20 s"
@@ -170,8 +172,8 @@ def further_publishers(
 ) -> list[Condition]:
     """Return the faults of several nodes `clocks` or `poses` that publish clock or pose."""
     return [
-        *several_publishers(clock_topic, clocks, "time jumps between them"),
-        *several_publishers(pose_topic, poses, "the pose jumps between them"),
+        *several_publishers(clock_topic, clocks, CLOCK_EFFECT),
+        *several_publishers(pose_topic, poses, POSE_EFFECT),
     ]
 
 

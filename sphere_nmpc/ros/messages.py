@@ -9,6 +9,7 @@ used raises an `InvalidStateError`, where it is a pose, or an `InvalidInputError
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry, Path
@@ -16,6 +17,7 @@ from rclpy.serialization import deserialize_message
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import BODY_FRAME, WORLD_FRAME, stamp_of
@@ -55,6 +57,17 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     return pose_from_ros(message)
 
 
+def uncertain_pose_from_ros(message: Any, frame: str) -> tuple[Vector, Vector | None]:
+    """Return state, shape (6,), and covariance of its error of a PoseWithCovarianceStamped.
+
+    See `framed_pose_from_ros` and `error_covariance`; the height and its variance are ignored.
+    """
+    _check_frame(message, frame)
+    pose = pose_from_ros(message.pose)
+    given = np.array(message.pose.covariance, dtype=float).reshape(6, 6)
+    return pose, error_covariance(pose, given)
+
+
 def framed_poses_from_ros(
     messages: Sequence[Any], common: str, frame: str = WORLD_FRAME
 ) -> list[Vector]:
@@ -76,11 +89,14 @@ def framed_point_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
 def odometry_to_ros(
     state: Vector, velocity: Vector, body_rate: Vector, stamp: int, shell_radius: float,
     body_frame: str = BODY_FRAME, frame: str = WORLD_FRAME,
+    covariances: tuple[Vector, Vector] | None = None,
 ) -> Odometry:
     """Return pose and twist, the twist in the body frame as Odometry demands.
 
     `velocity` is that of the centre [m/s; world frame], shape (3,), `body_rate` the angular
-    velocity [rad/s; body frame], shape (3,); for the others see `pose_message`.
+    velocity [rad/s; body frame], shape (3,); `covariances` are those of pose, about the fixed axes
+    of the world, and twist, shape (6, 6) each, None where they are not told. For the others see
+    `pose_message`.
     """
     message = Odometry()
     message.header.stamp = stamp_to_ros(stamp)
@@ -90,6 +106,8 @@ def odometry_to_ros(
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     linear.x, linear.y, linear.z = rotation.to_body(state[QUATERNION], velocity)
     angular.x, angular.y, angular.z = (float(value) for value in body_rate)
+    if covariances is not None:
+        message.pose.covariance, message.twist.covariance = (one.ravel() for one in covariances)
     return message
 
 

@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.quantity import quantity, validate
 from sphere_nmpc.ros.cdr import WORLD_FRAME
@@ -64,4 +65,18 @@ class ControllerNodeSettings(ControllerSettings):
     )
     lockstep: bool = quantity(
         False, "-", "Solve when the pose of the sampling instant arrives, not when a timer fires"
+    )
+
+
+@dataclass(frozen=True)
+class OdometryNodeSettings(OdometrySettings):
+    """Settings of the odometry, and of the frames of its node."""
+
+    frame_prefix: str = quantity(
+        "", "-", "Prefix of base_link in frame names; if empty, the node's namespace"
+    )
+    robot_description: str = quantity(
+        "", "-",
+        "Robot as URDF, as robot_state_publisher has it: the IMU is mounted where the frame of "
+        "its messages is; if empty, as imu.position and imu.orientation say",
     )

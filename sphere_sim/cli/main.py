@@ -21,6 +21,7 @@ VERBS = {
     "demo": ("sphere_sim.cli.demo", "run one of the paper's cases and watch it"),
     "simulator": ("sphere_sim.ros.simulator.node", "start the simulator node"),
     "controller": ("sphere_nmpc.ros.controller.node", "start the controller node"),
+    "odometry": ("sphere_nmpc.ros.odometry.node", "start the node that estimates the pose"),
     "navigator": ("sphere_nmpc.ros.navigator.node", "start the node with the actions of Nav2"),
     "recorder": ("sphere_sim.ros.recorder.node", "start the recorder node"),
     "goal": ("sphere_sim.ros.session.goal_command", "publish a goal pose"),
@@ -29,6 +30,9 @@ VERBS = {
     "study": ("sphere_sim.cli.study", "run many scenarios and write tables of the outcome"),
     "benchmark": ("sphere_sim.cli.benchmark", "time the solver on this machine"),
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
+    "calibrate_radius": (
+        "sphere_sim.ros.session.calibrate_radius", "find the radius from a measured way",
+    ),
 }
 _WITHOUT_ROS = ("study", "benchmark", "report")
 _DEBUG = "--debug"
@@ -95,7 +99,7 @@ def _without_debug(argv: Sequence[str]) -> tuple[list[str], bool]:
 
 
 def _usage() -> str:
-    lines = (f"  {verb:<11} {purpose}" for verb, (_, purpose) in VERBS.items())
+    lines = (f"  {verb:<16} {purpose}" for verb, (_, purpose) in VERBS.items())
     return "\n".join(
         (
             "usage: sphere_nmpc [-h] [--version] [--debug] VERB ...",

@@ -12,13 +12,13 @@ from std_msgs.msg import Float64
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.ros import graph_monitor
-from sphere_nmpc.ros.controller.monitor import SILENCE_LIMIT, GraphState, find_faults
 from sphere_nmpc.ros.graph_monitor import (
     INVALID,
     UNKNOWN,
     GraphMonitor,
     full_name,
 )
+from sphere_nmpc.ros.input_monitor import SILENCE_LIMIT, GraphState, find_faults
 
 LONG = 10.0 * SILENCE_LIMIT
 NAMELESS = Condition(Kind.OTHER_PUBLISHER, f"given 2 (/simulator, {UNKNOWN})", "/pose")
@@ -34,8 +34,8 @@ def test_stopped_clock_is_a_fault_unless_the_simulator_repeats_its_last_pose(
     pose_silence, pose_age, kinds
 ) -> None:
     state = GraphState(
-        follows_clock=True, time=3.0, clock_silence=LONG, pose_silence=pose_silence,
-        pose_age=pose_age, pose_timeout=0.5, clocks=["/simulator"], poses=["/simulator"],
+        follows_clock=True, time=3.0, clock_silence=LONG, silence=pose_silence,
+        age=pose_age, timeout=0.5, clocks=["/simulator"], senders=["/simulator"],
     )
     assert [fault.kind for fault in find_faults(state)] == kinds
 

@@ -25,6 +25,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.navigator.node import NavigatorNode
+from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry
@@ -34,8 +35,8 @@ from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 
 ROOT = Path(__file__).parents[2]
 CLASSES: dict[str, Any] = {
-    "simulator": SimulatorNode, "controller": ControllerNode, "navigator": NavigatorNode,
-    "recorder": RecorderNode,
+    "simulator": SimulatorNode, "controller": ControllerNode, "odometry": OdometryNode,
+    "navigator": NavigatorNode, "recorder": RecorderNode,
 }
 SHARED = {"/clock", "/diagnostics"}
 """Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
@@ -95,8 +96,8 @@ def test_tables_agree_with_the_node_which_may_be_in_a_namespace(nodes, name) -> 
     assert offered(nodes[name]) == documented
 
 
-OF_TOOLS = {"/markers", "/robot_description", "/initialpose"}
-"""Topics of the marker node, of robot_state_publisher, and of tools of Foxglove."""
+OF_TOOLS = {"/markers", "/robot_description"}
+"""Topics of the marker node and of robot_state_publisher."""
 
 
 def strings(value: Any) -> Iterator[str]:

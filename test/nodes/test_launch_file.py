@@ -57,6 +57,7 @@ def test_other_packages_are_used_where_they_are_installed_and_asked_for() -> Non
     assert "navigator" not in nodes(actions)
     navigator = nodes(started("navigator:=true", installed=["nav2_msgs"]))["navigator"]
     assert parameters(navigator) == {"use_sim_time": True, **FRAME}
+    assert "odometry" not in nodes(actions)
     assert {"robot_state_publisher", "rviz2"} <= nodes(actions).keys()
     assert recorders(actions)[0]["cmd"][:3] == ["ros2", "bag", "record"]
 
@@ -99,6 +100,22 @@ def test_arguments_become_parameters_of_the_nodes_behind_those_of_the_file(
         assert parameters(node).keys() - {"use_sim_time"} <= known
         # The last value is used, so the arguments must follow the file.
         assert node["parameters"] == [str(ROOT / "config" / "sphere.yaml"), expected[name]]
+
+
+def test_odometry_has_start_imu_and_robot_of_the_simulator(tmp_path) -> None:
+    file = tmp_path / "mine.yaml"
+    imu, robot = "{position: [0.1, 0.0, 0.0], rate: 200.0}", "{shell_radius: 0.25}"
+    file.write_text(f"/**/simulator: {{ros__parameters: {{imu: {imu}, robot: {robot}}}}}")
+    found = nodes(started(f"params_file:={file}", "odometry:=true", "namespace:=second"))
+    assert parameters(found["simulator"])["pose_source"] == "odometry"
+    assert parameters(found["odometry"]) == {
+        "initial_state": [2.0, -3.0, 0.03, 0.454, 0.88, 0.1363], "use_sim_time": True, **FRAME,
+        "imu": {"position": [0.1, 0.0, 0.0]}, "robot": {"shell_radius": 0.25},
+        "frame_prefix": "second/",
+    }
+    found = nodes(started("odometry:=true", "initial_state:=1,-1,0"))
+    start = parameters(found["odometry"])["initial_state"]
+    assert start == parameters(found["simulator"])["initial_state"] == [1.0, -1.0, 1.0, 0, 0, 0]
 
 
 def test_displays_have_the_world_frame_and_no_map() -> None:
@@ -268,11 +285,12 @@ def test_model_and_view_are_those_of_the_robot_in_the_file(tmp_path) -> None:
 
 
 def test_recording_has_every_documented_topic_except_requested_goals() -> None:
-    (record,) = recorders(started("record:=1", installed=OTHERS))
+    (record,) = recorders(started("record:=1", "odometry:=1", installed=OTHERS))
     recorded = set(record["cmd"][record["cmd"].index("--topics") + 1:])
     documented = {topic for _, topic, _, verb, _ in table() if verb not in ("service", "action")}
     # `ros2 topic pub --once` ends after the first matched subscription.
-    requested = {"/goal_pose", "/goal_point", "/goals", "/map", "/keepout", "/simulator/push"}
+    requested = {"/goal_pose", "/goal_point", "/goals", "/map", "/keepout", "/simulator/push",
+                 "/initialpose", "/pose_fix"}
     assert "--use-sim-time" in record["cmd"]
-    copied = {"/amcl_pose", "/imu"}  # of the pose; what is read only while it is received
+    copied = {"/amcl_pose"}  # of the pose
     assert documented - requested - copied <= recorded and not (requested | copied) & recorded

@@ -18,6 +18,7 @@ from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.navigator.node import NavigatorNode
+from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.viewer.markers import MarkerNode
@@ -77,7 +78,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     graph.start(SimulatorNode, plant="rigid_body", lockstep=True)
     graph.start(ControllerNode, use_sim_time=True)
     navigation_messages.provide()
-    followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode()]
+    followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode(),
+                 OdometryNode()]
     goal = rclpy.create_node("goal")
     GoalLink(goal, (PoseStamped, PointStamped, Goals), NavigatorSettings(), lambda ending: None)
     graph._executor.add_node(goal)

@@ -23,12 +23,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.ros import pose_publisher
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, stamp_from_ros, stamp_to_ros
-from sphere_sim.ros.simulator import state_publisher
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
+from sphere_sim.ros.simulator.state_publisher import StatePublisher
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -228,10 +229,10 @@ def test_transform_is_published_if_there_is_a_subscriber(graph, monkeypatch) -> 
             if transforms:
                 self.header, self.child_frame_id = transforms[0].header, "base_link"
 
-    monkeypatch.setattr(state_publisher, "TFMessage", StandIn)
-    publisher = state_publisher.StatePublisher(graph.probe, 0.3)
+    monkeypatch.setattr(pose_publisher, "TFMessage", StandIn)
+    publisher = StatePublisher(graph.probe, 0.3)
     received = graph.collect(TransformStamped, "/tf")
-    graph.until(lambda: publisher._transforms.get_subscription_count() > 0)
+    graph.until(lambda: publisher._pose._transforms.get_subscription_count() > 0)
     publisher.publish(Simulator(SimulatorSettings(), RobotParameters()))
     graph.until(lambda: received)
     assert (received[0].header.frame_id, received[0].child_frame_id) == ("world", "base_link")

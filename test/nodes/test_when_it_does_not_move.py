@@ -23,6 +23,7 @@ from given_plans import Standing
 from patience import LOCKSTEP
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
 
 from sphere_nmpc.model.state import Vector, upright_state
 from sphere_nmpc.own_folder import cache_folder
@@ -31,6 +32,7 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.navigator.node import NavigatorNode
+from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
 from sphere_sim.ros.recorder.node import RecorderNode
@@ -203,6 +205,42 @@ def recorded_status_of_another_type(graph) -> None:
     graph.start(RecorderNode, record_on_start=False)
 
 
+def readings(graph, stamped: bool, until: float = 1e9) -> None:
+    """Send readings of an IMU at 100 Hz, `until` after a wall time [s] from now."""
+    sender, end = graph.probe.create_publisher(Imu, "imu", 10), time.monotonic() + until
+
+    def send() -> None:
+        if time.monotonic() < end:
+            reading = Imu()
+            reading.linear_acceleration.z = 9.81
+            reading.header.stamp = stamp_to_ros(time.time_ns() if stamped else 0)
+            sender.publish(reading)
+
+    graph.probe.create_timer(0.01, send)
+    graph.start(OdometryNode)
+
+
+def readings_without_a_stamp(graph) -> None:
+    readings(graph, stamped=False)
+
+
+def readings_that_end(graph) -> None:
+    readings(graph, stamped=True, until=0.5)
+
+
+def no_rotors(graph) -> None:
+    readings(graph, stamped=True)
+
+
+def no_imu(graph) -> None:
+    graph.start(OdometryNode)
+
+
+def pose_of_the_simulator_beside(graph) -> None:
+    graph.start(SimulatorNode)
+    graph.start(OdometryNode, use_sim_time=True)
+
+
 def two_navigators(graph) -> None:
     navigation_messages.provide()
     graph.start(NavigatorNode)
@@ -214,7 +252,7 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     two_simulators: ("controller", "/clock: given …"),
     pose_sent_best_effort_in_lockstep: ("controller", "incompatible QoS"),
     poses_stamped_since_the_start_of_their_driver: ("controller", "no simulated time"),
-    poses_without_a_stamp: ("controller", "no stamp"),
+    poses_without_a_stamp: ("controller", "no stamp: given poses"),
     pose_of_another_type: ("controller", "other type on"),
     recorded_status_of_another_type: ("recorder", "other type on"),
     coarse_clock: ("controller", "clock that stamps them coarse"),
@@ -226,6 +264,11 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     lockstep_without_controller: ("simulator", "time waits"),
     controller_without_lockstep: ("simulator", "does not run in lockstep"),
     robots_apart: ("simulator", "as in this node"),
+    readings_without_a_stamp: ("odometry", "readings of the IMU on …"),
+    readings_that_end: ("odometry", "no IMU: given none"),
+    no_imu: ("odometry", "no IMU: given no publisher"),
+    no_rotors: ("odometry", "joint_states:=/its"),
+    pose_of_the_simulator_beside: ("odometry", "the pose jumps between them"),
     two_navigators: ("navigator", "goals are rejected"),
     recorder_without_the_namespace: ("recorder", "start this node with -r __ns"),
 }

@@ -11,7 +11,7 @@ from nav_msgs.msg import Goals
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
-from sphere_nmpc.ros.controller.control_clock import ControlClock
+from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import (

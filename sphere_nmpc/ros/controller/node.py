@@ -11,17 +11,14 @@ services    ~/enable, ~/cancel
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -33,8 +30,8 @@ from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.cdr import Pose, fields, pose_in_frame
+from sphere_nmpc.ros.control_clock import ClockedNode, ControlClock
 from sphere_nmpc.ros.controller.command_sender import CommandSender
-from sphere_nmpc.ros.controller.control_clock import ControlClock
 from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
@@ -43,7 +40,7 @@ from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
-from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode
+from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
 from sphere_nmpc.settings import STRATEGIES
@@ -61,7 +58,7 @@ _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
 
 
-class ControllerNode(GuardedNode):
+class ControllerNode(ClockedNode):
     """Node that passes messages to a `Schedule` and a `Controller`, and publishes commands."""
 
     uses_events_executor = True
@@ -130,22 +127,6 @@ class ControllerNode(GuardedNode):
     def thread_priority(self) -> int:
         """Real-time priority as set, and none in lockstep, where time waits for this node."""
         return self._scheduling.settings.thread_priority if self._schedule.is_real_time else 0
-
-    def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any,
-        **options: Any,
-    ) -> Subscription:
-        """Create a subscription; rclpy's own one of ``/clock`` is served by `ControlClock`.
-
-        rclpy makes it with the node and whenever ``use_sim_time`` is set. Its callback takes
-        message objects, each of which takes as long as a solve.
-        """
-        if msg_type is Clock:
-            callback, options = self._receive_clock, {**options, "raw": True}
-        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
-
-    def _receive_clock(self, message: bytes) -> None:
-        self._control_clock.hear(message)
 
     def finish(self) -> None:
         """Send a stop, on both command topics."""
@@ -282,7 +263,7 @@ class ControllerNode(GuardedNode):
             stamp, frame, numbers = fields(message, Pose)
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
-            self._monitor.pose_received(age, stamp)
+            self._monitor.received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
             pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
             self._monitor.stamps.received(measured, pose.state)

@@ -173,7 +173,7 @@ class ControllerReports:
         values = {
             **values, **goals_in_force(self._controller.goal_sequence, self._active_goal),
             "floor_pending_s": self._floor_pending(),
-            "pose_topic": self._monitor.pose_topic,
+            "pose_topic": self._monitor.topic,
         }
         self._status.publish(status(self._name, level, message, values))
 

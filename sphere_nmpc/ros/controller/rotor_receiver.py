@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.ros.cdr import rotor_speeds_and_stamp
-from sphere_nmpc.ros.controller.control_clock import ControlClock
+from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
 

@@ -12,7 +12,7 @@ from sphere_nmpc.control.goal_memory import GoalMemory
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.own_folder import cache_folder
-from sphere_nmpc.ros.controller.control_clock import ControlClock
+from sphere_nmpc.ros.control_clock import ControlClock
 
 
 class StoredGoal:

@@ -5,7 +5,7 @@
 publishes   pose and odom, with pose_source odometry as ground_truth/pose and ground_truth/odom,
             imu, joint_states, /clock unless it runs on the system clock, /diagnostics, ~/pushed
 subscribes  rotor_trajectory, rotor_commands, control_period, map, ~/push, in lockstep the
-            controller's status
+            controller's status, with an odometry node the first pose
 services    ~/reset, ~/pause, ~/step, ~/push
 """
 
@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
@@ -32,6 +33,7 @@ from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 from sphere_nmpc.ros.lifetime import run
+from sphere_nmpc.ros.pose_publisher import frame_prefix
 from sphere_nmpc.ros.settings import FrameSettings, SchedulingSettings
 from sphere_sim.ros.simulator.controllers import Controllers
 from sphere_sim.ros.simulator.receivers import CommandReceiver, PushReceiver
@@ -110,9 +112,13 @@ class SimulatorNode(GuardedNode):
         self.simulator = Simulator(settings, robot, plant, imu if settings.has_odometry else None)
         self._simulated_clock = SimulatedClock(
             round(NANOSECONDS / settings.pose_rate), round(NANOSECONDS * settings.sample_period),
-            settings.real_time_factor, settings.lockstep, settings.lockstep_timeout,
-            settings.start_paused, keeps_up=settings.is_on_system_clock,
+            settings.real_time_factor, settings.lockstep and not settings.has_odometry,
+            settings.lockstep_timeout, settings.start_paused, keeps_up=settings.is_on_system_clock,
         )
+        # Until the odometry has a pose, after a calibration, the controller has no answer.
+        self._first_pose = self.create_subscription(
+            PoseStamped, "pose", self._begin_lockstep, 1, raw=True
+        ) if settings.lockstep and settings.has_odometry else None
         self._monitor = GraphMonitor(self, self._fault_log)
         commands = self.resolve_topic_name("rotor_trajectory")
         self._controllers = Controllers(
@@ -120,7 +126,7 @@ class SimulatorNode(GuardedNode):
             settings.lockstep,
         )
         self._controller_found = self._period_told = False
-        prefix = settings.frame_prefix or f"{self.get_namespace().strip('/')}/".lstrip("/")
+        prefix = frame_prefix(self, settings.frame_prefix)
         self._state_publisher = StatePublisher(
             self, robot.shell_radius, prefix, frame, clocked=not settings.is_on_system_clock,
             has_odometry=settings.has_odometry, imu=imu,
@@ -241,6 +247,9 @@ class SimulatorNode(GuardedNode):
         self._simulated_clock.set_sample_period(round(NANOSECONDS * period), time.monotonic())
         self.get_logger().info(f"lockstep: every {period:g} s, as the controller samples")
 
+    def _begin_lockstep(self, _: bytes) -> None:
+        self._simulated_clock.lockstep = True
+
     def _report_timeout(self) -> None:
         timeout = self._settings.lockstep_timeout
         self._fault_log.report(
@@ -307,6 +316,9 @@ class SimulatorNode(GuardedNode):
     def _report_clock(self) -> tuple[Severity, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
         self._controllers.update()
+        if self._first_pose is not None and self._simulated_clock.lockstep:
+            self.destroy_subscription(self._first_pose)
+            self._first_pose = None
         self._monitor.update([
             *self._monitor.incompatible(), *others, *self._contradictions(),
             *self._floor_receiver.faults(),

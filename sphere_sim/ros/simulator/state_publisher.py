@@ -5,8 +5,6 @@
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -14,23 +12,15 @@ from sensor_msgs.msg import Imu, JointState
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import (
-    BODY_FRAME,
     WORLD_FRAME,
     clock_message,
     imu_message,
     joint_states_message,
-    pose_message,
 )
-from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros, transform_from_pose
+from sphere_nmpc.ros.pose_publisher import PosePublisher
 from sphere_sim.world.imu_sensor import ImuReading, SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.mjcf import IMU
 from sphere_sim.world.simulator import Simulator
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # there are no wheels of tf2_msgs, nor of RViz, which needs it
-    TFMessage = None
-
 
 _DEPTH = 1000
 """Messages kept for a subscriber that is slow: at full speed a sample takes milliseconds."""
@@ -48,18 +38,16 @@ class StatePublisher:
         self, node: Node, shell_radius: float, prefix: str = "", world_frame: str = WORLD_FRAME,
         clocked: bool = True, has_odometry: bool = False, imu: SimulatedImuSettings | None = None,
     ) -> None:
-        self._radius = shell_radius
-        self._body, self._imu_frame, self._world = prefix + BODY_FRAME, prefix + IMU, world_frame
-        self._has_odometry, self._imu_settings = has_odometry, imu or SimulatedImuSettings()
-        under = "ground_truth/" if has_odometry else ""
+        self._imu_frame, self._has_odometry = prefix + IMU, has_odometry
+        self._imu_settings = imu or SimulatedImuSettings()
         self.epoch = 0
         """Stamp of simulated time 0 [ns]."""
-        self._pose = node.create_publisher(PoseStamped, f"{under}pose", _DEPTH)
-        self._odometry = node.create_publisher(Odometry, f"{under}odom", _DEPTH)
+        self._pose = PosePublisher(
+            node, shell_radius, prefix, world_frame, _DEPTH,
+            under="ground_truth/" if has_odometry else "",
+        )
         self._imu = node.create_publisher(Imu, "imu", _DEPTH)
         self._joints = node.create_publisher(JointState, "joint_states", _DEPTH)
-        has_transforms = TFMessage and not has_odometry
-        self._transforms = has_transforms and node.create_publisher(TFMessage, "/tf", 100)
         self._clock = node.create_publisher(Clock, "/clock", _DEPTH) if clocked else None
         self._last: list[tuple[Any, Any]] = []
 
@@ -69,28 +57,18 @@ class StatePublisher:
         poses = simulator.poses()
         # Tools should not draw the poses of a late or slow sensor: they get the true state then.
         measured = poses[-1][1] if simulator.settings.is_sensor_plain else plant.state
-        self._last = [
-            (self._pose, pose_message(seen, self.epoch + stamp, self._radius, self._world))
-            for stamp, seen in poses
-        ]
-        # At 2000 instants a second, messages without a subscriber would take too much time.
-        if self._odometry.get_subscription_count() > 0:
-            odometry = odometry_to_ros(
-                measured, plant.velocity, plant.body_rate, now, self._radius, self._body,
-                self._world,
-            )
-            self._last.append((self._odometry, odometry))
+        self._last = self._pose.messages(
+            [(self.epoch + stamp, seen) for stamp, seen in poses], measured, plant.velocity,
+            plant.body_rate, now,
+        )
         is_wanted = self._has_odometry or self._imu.get_subscription_count() > 0
         if is_wanted is not bool(simulator.imu):
             simulator.fit_imu(self._imu_settings if is_wanted else None)
         for reading in simulator.imu_readings():
             self._add_reading(reading)
+        # At 2000 instants a second, messages without a subscriber would take too much time.
         if not self._has_odometry and self._joints.get_subscription_count() > 0:
             self._add_joints(plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques, now)
-        if self._transforms and self._transforms.get_subscription_count() > 0:
-            pose = pose_to_ros(measured, now, self._radius, self._world)
-            transform = transform_from_pose(pose, self._body)
-            self._last.append((self._transforms, TFMessage(transforms=[transform])))
         # The clock comes last, so that a node that acts on it has the pose of that instant.
         if self._clock is not None:
             self._last.append((self._clock, clock_message(now)))

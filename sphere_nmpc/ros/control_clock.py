@@ -4,14 +4,18 @@
 
 from collections.abc import Callable
 from time import monotonic
+from typing import Any
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import clock_stamp, seconds
+from sphere_nmpc.ros.guarded_node import GuardedNode
 
 _RESOLVED = 10**15
 """Time [ns] up to which a float of seconds resolves a nanosecond: the knots of commands keep their
@@ -117,3 +121,25 @@ class ControlClock:
         if jump.clock_change in _CHANGED:
             self._begin()
             self._on_jump(True)
+
+
+class ClockedNode(GuardedNode):
+    """Node with a `ControlClock`, which a subclass makes before it is spun."""
+
+    _control_clock: ControlClock
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any,
+        **options: Any,
+    ) -> Subscription:
+        """Create a subscription; rclpy's own one of ``/clock`` is served by `ControlClock`.
+
+        rclpy makes it with the node and whenever ``use_sim_time`` is set. Its callback takes
+        message objects, each of which takes as long as a solve.
+        """
+        if msg_type is Clock:
+            callback, options = self._receive_clock, {**options, "raw": True}
+        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
+
+    def _receive_clock(self, message: bytes) -> None:
+        self._control_clock.hear(message)

@@ -1,0 +1,208 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The odometry node: estimates the pose of the sphere from an IMU inside it and the rotors.
+
+subscribes  imu, joint_states, initialpose, pose_fix
+publishes   pose, odom, ~/status, /diagnostics
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, JointState
+
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.mounting import mounting
+from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.model.error_state import fixed_axes_covariance
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros import cdr
+from sphere_nmpc.ros.cdr import BODY_FRAME, seconds, stamp_of
+from sphere_nmpc.ros.control_clock import ClockedNode, ControlClock
+from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.lifetime import run
+from sphere_nmpc.ros.messages import stamp_from_ros, uncertain_pose_from_ros
+from sphere_nmpc.ros.odometry.reports import OdometryReports
+from sphere_nmpc.ros.pose_publisher import PosePublisher, frame_prefix
+from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
+
+_ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For measurements of which none may be dropped while the node is held up, for half a second at
+2000 Hz; publishers of either reliability match."""
+_FEW = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+_DEPTH = 10
+"""Poses kept for a subscriber that is slow."""
+_CHECK_EVERY = 0.25
+"""Wall time between two checks of sensors and topics, and two statuses [s]."""
+_LARGEST = 100_000, "some thousand joints"
+"""Size of the largest message of joint states [bytes]."""
+_NOT_MEASURED = -1.0
+"""First element of a covariance of sensor_msgs/Imu whose quantity is not measured."""
+
+
+class OdometryNode(ClockedNode):
+    """Node that passes measurements to an `Odometry`, and publishes the pose at each of the IMU's.
+
+    Parameters
+    ----------
+    parameter_overrides : list of Parameter, optional
+        Parameters as given on a command line; for use within a program.
+    """
+
+    uses_events_executor = True
+
+    def __init__(self, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__("odometry", parameter_overrides)
+        declare = self.parameters.declare
+        self._settings = declare(OdometryNodeSettings()).settings
+        self._imu = declare(ImuSettings(), "imu").settings
+        self._robot = declare(RobotParameters(), "robot").settings
+        self._scheduling = declare(SchedulingSettings())
+        self._frame = declare(FrameSettings()).settings.world_frame
+        self.parameters.warn_of_unknown()
+        # Time need not keep pace with the wall clock: what is measured has a stamp.
+        self._control_clock = ControlClock(self, self._clock_jumped, has_pace=False)
+        self.odometry = Odometry(self._settings, self._imu, self._robot)
+        self._prefix = frame_prefix(self, self._settings.frame_prefix)
+        self._mounted: str | None = None if self._settings.robot_description else ""
+        """Frame whose mounting is in force; None before the first, "" where there is none."""
+        self._given: tuple[Vector, Vector | None] | None = None
+        self._epoch: int | None = None
+        self._sent: list[tuple[Any, Any]] = []
+        self._sent_stamp = -1
+        self._publisher = PosePublisher(
+            self, self._robot.shell_radius, self._prefix, self._frame, _DEPTH
+        )
+        self._reports = OdometryReports(
+            self, self._control_clock, self._fault_log, self._event_log
+        )
+        raw: dict[str, Any] = {"event_callbacks": NO_EVENTS, "raw": True}
+        self.create_subscription(Imu, "imu", self._receive_imu, _ALL, **raw)
+        self.create_subscription(
+            JointState, "joint_states", self._receive_joints, _ALL, largest=_LARGEST, **raw
+        )
+        for topic, take in (("initialpose", self._set_pose), ("pose_fix", self._correct)):
+            self.create_subscription(
+                PoseWithCovarianceStamped, topic, take, _FEW, event_callbacks=NO_EVENTS
+            )
+        self.create_wall_timer(_CHECK_EVERY, self._check)
+
+    @property
+    def thread_priority(self) -> int:
+        """Real-time priority as set."""
+        return self._scheduling.settings.thread_priority
+
+    def _time(self, stamp: int) -> float:
+        """Return a stamp [ns] as time of the odometry [s], which begins with the first one."""
+        if self._epoch is None:
+            self._epoch = stamp
+        return seconds(stamp, self._epoch)
+
+    def _receive_imu(self, message: bytes) -> None:
+        stamp, frame, numbers = cdr.fields(message, cdr.Imu)
+        if not self._reports.imu.received(stamp):
+            return
+        for name, first in (("angular_velocity", 16), ("linear_acceleration", 28)):
+            if numbers[first] == _NOT_MEASURED:
+                raise InvalidInputError(
+                    f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
+                    f"stands for an IMU that does not measure the {name}",
+                )
+        if self._mounted not in ("", frame):
+            self._mount(frame)
+        reading = np.array(numbers[13:16]), np.array(numbers[25:28])
+        if self.odometry.observe_imu(self._time(stamp), *reading):
+            self._publish()
+        elif stamp == self._sent_stamp:
+            # A simulator whose time stands still repeats its readings, for those that are late.
+            for publisher, pose in self._sent:
+                publisher.publish(pose)
+
+    def _mount(self, frame: str) -> None:
+        """Begin anew with the IMU where the description has the frame of its messages."""
+        link = frame.removeprefix(self._prefix)
+        place, turn = mounting(self._settings.robot_description, link, BODY_FRAME)
+        imu = replace(
+            self._imu, position=tuple(place.tolist()), orientation=tuple(turn.tolist())
+        )
+        self.odometry = Odometry(self._settings, imu, self._robot)
+        self._mounted, self._epoch = frame, None
+        if self._given is not None:
+            self.odometry.set_pose(0.0, *self._given)
+
+    def _receive_joints(self, message: bytes) -> None:
+        joints = cdr.read(message, cdr.Joints)
+        found = joints.of_rotors()
+        if found is None or not self._reports.joints.received(joints.stamp):
+            return  # of other joints, or without a time
+        angles, speeds, _ = found
+        if not np.isfinite(speeds).all():
+            raise InvalidInputError("rotor speeds", speeds.tolist(), "finite numbers [rad/s]")
+        known = angles if np.isfinite(angles).all() else None
+        if self.odometry.observe_rotors(self._time(joints.stamp), speeds, known):
+            self._publish()
+
+    def _publish(self) -> None:
+        """Publish the newest estimate, with the stamp of its reading."""
+        estimate, radius = self.odometry.estimate, self._robot.shell_radius
+        if estimate is None or self._epoch is None:
+            return
+        stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
+        height_deviation = radius * self._settings.radius_deviation
+
+        def covariances() -> tuple[Vector, Vector]:
+            of_pose = fixed_axes_covariance(pose, estimate.covariance, height_deviation)
+            return of_pose, estimate.twist_covariance
+
+        self._sent_stamp = stamp
+        self._sent = self._publisher.messages(
+            [(stamp, pose)], pose, estimate.velocity, estimate.body_rate, stamp, covariances
+        )
+        for publisher, message in self._sent:
+            publisher.publish(message)
+
+    def _set_pose(self, message: PoseWithCovarianceStamped) -> None:
+        """Take a pose as that of now: the stamp of who gives it is that of another clock."""
+        self._given = uncertain_pose_from_ros(message, self._frame)
+        estimate = self.odometry.estimate
+        now = self._time(self._control_clock.stamp()) if estimate is None else estimate.time
+        self.odometry.set_pose(now, *self._given)
+        self._event_log.report("initialpose", f"at {self._given[0].round(3).tolist()}")
+
+    def _correct(self, message: PoseWithCovarianceStamped) -> None:
+        fix = uncertain_pose_from_ros(message, self._frame)
+        stamp = stamp_from_ros(message.header.stamp)
+        if not stamp:
+            raise InvalidInputError("stamp", 0, "the time at which the fix was measured")
+        reason = self.odometry.correct(self._time(stamp), *fix)
+        if reason is not None:
+            self._fault_log.report(reason.name, reason.text)
+
+    def _check(self) -> None:
+        if self._epoch is not None:
+            self.odometry.check(self._time(self._reports.imu.heard_until()))
+        self._reports.update(self.odometry)
+        self._event_log.flush()
+
+    def _clock_jumped(self, _: bool) -> None:
+        self._event_log.report("clock", "shows another time; the pose stays, motion is lost")
+        self.odometry.forget()
+        self._epoch, self._sent_stamp = None, -1
+
+
+_ABOUT = f"""{__doc__}
+Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
+msg_docs/parameters.md lists them.
+"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
+    return run(OdometryNode, args, _ABOUT)

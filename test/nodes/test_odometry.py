@@ -1,0 +1,139 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The odometry node over real DDS, in the loop with simulator and controller."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from patience import LOCKSTEP
+from ros_graph import Graph, running_graph, values_of
+from sensor_msgs.msg import Imu
+
+from sphere_nmpc.model.state import Vector, angle_error, position_error, upright_state
+from sphere_nmpc.ros.controller.node import ControllerNode
+from sphere_nmpc.ros.guarded_node import LATCHED
+from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros, stamp_to_ros
+from sphere_nmpc.ros.odometry.node import OdometryNode
+from sphere_sim.ros.simulator import node as simulator_node
+from sphere_sim.ros.simulator.node import SimulatorNode
+
+pytestmark = pytest.mark.slow
+
+START = upright_state(1.0, -0.5, 0.4)
+IMU = {"imu.position": [0.12, -0.05, 0.1], "imu.orientation": [0.5, 0.5, -0.5, 0.5]}
+GOAL = upright_state(1.6, 0.2, 1.0)
+RVIZ = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.0685]).ravel()
+"""Covariance that RViz sends by default."""
+
+
+class Loop:
+    """Simulator, odometry and controller in lockstep, and what they publish."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.truths = graph.collect(PoseStamped, "ground_truth/pose")
+        self.poses = graph.collect(PoseStamped, "pose")
+        self.odometries = graph.collect(Odometry, "odom")
+        self.statuses = graph.collect(DiagnosticStatus, "odometry/status", LATCHED)
+        self.imu = graph.collect(Imu, "imu")
+        common = {"initial_state": START.tolist(), **IMU}
+        self.node = graph.start(OdometryNode, use_sim_time=True, **common)
+        self.controller = graph.start(ControllerNode, use_sim_time=True, lockstep=True)
+        self.simulator = graph.start(
+            SimulatorNode, pose_source="odometry", real_time_factor=0.0, **LOCKSTEP, **common
+        )
+        graph.until(lambda: self.poses)
+
+    @property
+    def error(self) -> tuple[float, float]:
+        """Errors of the newest pose that has a true one [m, rad]."""
+        true = {stamp_from_ros(one.header.stamp): one for one in self.truths}
+        seen = {stamp_from_ros(one.header.stamp): one for one in self.poses}
+        newest = max(true.keys() & seen.keys())
+        found = pose_from_ros(seen[newest]), pose_from_ros(true[newest])
+        return position_error(*found), angle_error(*found)
+
+    def send(self, topic: str, pose: Vector, covariance: Any, stamp: int = 0) -> None:
+        message = PoseWithCovarianceStamped()
+        message.header.stamp = stamp_to_ros(stamp)
+        message.pose.pose = pose_to_ros(pose, 0, 0.0).pose
+        message.pose.covariance = covariance
+        self.graph.publisher(PoseWithCovarianceStamped, topic).publish(message)
+
+    def values(self) -> dict[str, str]:
+        """Return the values of the next status."""
+        self.statuses.clear()
+        self.graph.until(lambda: self.statuses)
+        return values_of(self.statuses[-1])
+
+
+@pytest.fixture(scope="module")
+def loop() -> Iterator[Loop]:
+    with pytest.MonkeyPatch.context() as patch, running_graph() as graph:
+        # All nodes are served in turn: one that waits longer keeps the others waiting.
+        patch.setattr(simulator_node, "_REPEAT_EVERY", 0.01)
+        yield Loop(graph)
+
+
+def test_poses_begin_after_the_calibration_with_the_stamps_of_the_readings(loop) -> None:
+    assert loop.node.odometry.is_calibrated
+    stamps = {stamp_from_ros(one.header.stamp) for one in loop.imu}
+    loop.graph.until(lambda: len(loop.poses) > 5)
+    given = [stamp_from_ros(one.header.stamp) for one in loop.poses]
+    assert given[0] >= 2 * 10**9 and stamps.issuperset(given[:1])
+    assert loop.poses[0].header.frame_id == "world"
+    assert loop.error < (1e-3, 5e-3)
+    values = loop.values()
+    assert values["calibrated"] == "true" and "deg/s" in values["calibration"]
+
+
+def test_goal_is_reached_as_the_true_pose_shows(loop) -> None:
+    loop.graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(GOAL, 0, 0.3))
+    loop.graph.until(lambda: loop.controller.controller.at_goal)
+    truth = pose_from_ros(loop.truths[-1])
+    assert position_error(truth, GOAL) < 0.03 and angle_error(truth, GOAL) < 0.05
+    position, heading = (float(loop.values()[name]) for name in (
+        "position_deviation_m", "heading_deviation_deg"
+    ))
+    assert 0.0 < position < 0.05 and 0.0 < heading < 3.0
+    covariance = loop.odometries[-1].pose.covariance.reshape(6, 6)
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
+    assert np.sqrt(covariance[0, 0] + covariance[1, 1]) == pytest.approx(position, rel=0.2)
+    assert covariance[2, 2] == pytest.approx((0.3 * 3e-3) ** 2)
+
+
+def test_initial_pose_of_rviz_moves_position_and_heading_and_leaves_the_tilt(loop) -> None:
+    before = float(loop.values()["position_deviation_m"])
+    wrong = GOAL + np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
+    loop.send("initialpose", wrong, RVIZ)
+    loop.graph.until(lambda: loop.error[0] > 0.3)
+    assert loop.error[1] < 0.05
+    assert float(loop.values()["position_deviation_m"]) > 0.5 > before
+
+
+def test_late_fix_corrects_the_pose_and_one_that_is_no_measurement_is_refused(loop) -> None:
+    used, begun = int(loop.values()["fixes_used"]), loop.simulator.simulator.time
+    loop.graph.until(lambda: loop.simulator.simulator.time > begun + 1.0)
+    true = loop.truths[-20]
+    variance = np.diag([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5]).ravel()
+    loop.send("pose_fix", pose_from_ros(true), variance, stamp_from_ros(true.header.stamp))
+    loop.graph.until(lambda: loop.error[0] < 0.01)
+    assert int(loop.values()["fixes_used"]) == used + 1
+    counts = loop.node._fault_log.counts
+    for number, (covariance, stamp) in enumerate(((variance, 0), (-variance, 10**9)), 1):
+        loop.send("pose_fix", GOAL, covariance, stamp)
+        loop.graph.until(lambda number=number: counts["pose_fix refused"] == number)
+    assert loop.error[0] < 0.01
+
+
+def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
+    reading = Imu(header=loop.imu[-1].header)
+    reading.angular_velocity_covariance[0] = -1.0
+    loop.graph.publisher(Imu, "imu").publish(reading)
+    loop.graph.until(lambda: loop.node._fault_log.counts["imu refused"])
+    assert loop.error[0] < 0.01

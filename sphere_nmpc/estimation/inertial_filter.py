@@ -187,6 +187,8 @@ class InertialFilter:
         for j, (before, after) in enumerate(zip(samples.times, samples.times[1:], strict=False)):
             step = after - before
             mean = 0.5 * (rates[j] + rates[j + 1])
+            if samples.speeds is not None and not samples.usable:
+                mean = self._by_rotors(belief, pose, samples.speeds[j : j + 2], step)
             turned = 0.0 * mean if samples.still else mean * step
             pose, middle = self.moved(pose, turned, radius)
             middles.append(middle)
@@ -217,14 +219,17 @@ class InertialFilter:
         return found, Findings(by_force, by_rate, jump)
 
     def _rates(self, belief: Belief, samples: Samples) -> Vector:
-        """Return the angular velocities [rad/s; body frame], by the model without a gyro."""
+        """Return the angular velocities by the gyro [rad/s; body frame], zeros without one."""
         if samples.usable:
             return self.body_rates(belief, np.array(samples.rates))
-        if samples.speeds is None:
-            # Neither is known: the shell is taken to rest, with an uncertainty.
-            return np.zeros((len(samples.times), 3))
-        turn = rotation.matrix(belief.pose[QUATERNION])
-        return np.array([self.model_rate(belief, turn, u)[0] for u in samples.speeds])
+        return np.zeros((len(samples.times), 3))
+
+    def _by_rotors(self, belief: Belief, pose: Vector, speeds: Vector, step: float) -> Vector:
+        """Return the mean angular velocity by the rotors [rad/s; body frame], shape (3,)."""
+        q, mean = pose[QUATERNION], speeds.mean(axis=0)
+        rate, _ = self.model_rate(belief, rotation.matrix(q), speeds[0])
+        middle = rotation.product(q, rotation.exponential(0.5 * step * rate))
+        return self.model_rate(belief, rotation.matrix(middle), mean)[0]
 
     def _predicted(
         self, belief: Belief, whole: Vector, scaled: Vector, way: Vector, duration: float,
@@ -254,8 +259,9 @@ class InertialFilter:
         if not samples.still:
             turning = np.vstack((rolls, np.eye(3)))
             predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
-        slipped = float(belief.unexplained @ belief.unexplained)
-        noise[P] += slipped * duration**2
+        # A slip goes on, so that its ways add up, not their squares.
+        slipped = math.sqrt(float(belief.unexplained @ belief.unexplained)) * duration
+        noise[P] += slipped * (slipped + 2.0 * np.sqrt(np.diag(covariance)[P].max()))
         if abs(belief.unexplained[2]) > numbers.lift:
             noise[P] += numbers.carried**2 * duration
         predicted[np.diag_indices(SIZE)] += noise
@@ -278,9 +284,12 @@ class InertialFilter:
             change = end @ last - start @ first
             lever = end @ np.cross(last, self._place) - start @ np.cross(first, self._place)
             by[:, RADIUS] = radius * (ROLL @ change)
-            sensed = end @ turn * (last @ turn) - start @ turn * (first @ turn)
-            by[:, GYRO_SCALE] = -radius * (ROLL @ sensed)
-            by[:, GYRO_BIAS] = -radius * (ROLL @ (end - start) @ turn)
+            arm = _cross(self._place)
+            after, before = (
+                (radius * ROLL @ place - place @ arm) @ turn for place in (end, start)
+            )
+            by[:, GYRO_BIAS] = before - after
+            by[:, GYRO_SCALE] = before * (first @ turn) - after * (last @ turn)
         by[:, PHI] = _cross(force) - radius * (ROLL @ _cross(change)) - _cross(lever)
         jump = force - radius * (ROLL @ change) - lever - GRAVITY * duration * _UP
         variance = imu.accelerometer_noise**2 * duration

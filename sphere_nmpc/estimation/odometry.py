@@ -158,6 +158,11 @@ class Odometry:
         """Bias of the gyro [rad/s; axes of the sensor], shape (3,)."""
         return np.zeros(3) if self._belief is None else self._belief.value(GYRO_BIAS)
 
+    @property
+    def radius(self) -> float:
+        """Radius of the shell as estimated [m]; fixes show it."""
+        return self._filter.radius if self._belief is None else self._filter.rolled(self._belief)
+
     def observe_imu(self, time: float, rate: Vector, force: Vector) -> bool:
         """Take a reading: angular velocity [rad/s] and specific force [m/s^2], axes of the sensor.
 

@@ -61,7 +61,7 @@ class OdometryNumbers(EstimatorSettings):
     """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
     rest: float = 1.0
     """Time over which the gyro is averaged to tell rest from slow turning [s]."""
-    forgotten: float = 0.85
+    forgotten: float = 0.7
     """Share of a change of velocity that was not explained which counts in the next interval."""
     lift: float = 0.1
     """Vertical velocity above which the sphere has been lifted [m/s]."""

@@ -32,6 +32,7 @@ class SensorFaults:
         self._equal = 0
         self._angles: tuple[float, Vector] | None = None
         self._contradictions = 0
+        self._may_be_pushed = False
         self.are_encoders_stuck = False
         """Whether the encoders have shown no turning although the rotors turn."""
 
@@ -119,14 +120,17 @@ class SensorFaults:
                 )
         elif findings.rate > numbers.improbable:
             self._contradictions += 1
+        offset = float(belief.numbers[OFFSET - 5])
+        spread = math.sqrt(float(belief.covariance[OFFSET, OFFSET]))
+        is_late = abs(offset) > max(_LATE, _SIGNIFICANT * spread)
+        # Speeds that come late look like a push until they have come.
+        if self._may_be_pushed and not is_late:
             self.see(
                 Kind.PUSHED, time,
                 "given an angular velocity that the rotors do not explain, with a momentum",
             )
-        offset = float(belief.numbers[OFFSET - 5])
-        spread = math.sqrt(float(belief.covariance[OFFSET, OFFSET]))
-        is_disturbed = Kind.PUSHED in self._seen or Kind.SLIPPED in self._seen
-        if not is_disturbed and abs(offset) > max(_LATE, _SIGNIFICANT * spread):
+        self._may_be_pushed = findings.rate > numbers.improbable
+        if is_late and Kind.PUSHED not in self._seen and Kind.SLIPPED not in self._seen:
             self.see(
                 Kind.ENCODERS_LATE, time,
                 f"given stamps of the rotor speeds {1e3 * offset:.1f} ms behind those of the IMU, "

@@ -145,6 +145,23 @@ def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
     assert loop.error[0] < 0.01
 
 
+def test_reading_that_is_repeated_while_time_stands_still_gives_its_pose_again(loop) -> None:
+    loop.graph.remove(loop.simulator)
+
+    def stamps() -> list[int]:
+        return [stamp_from_ros(one.header.stamp) for one in loop.poses]
+
+    def newest() -> Any:
+        return max(loop.imu, key=lambda one: stamp_from_ros(one.header.stamp))
+
+    loop.graph.until(lambda: stamps()[-1] == stamp_from_ros(newest().header.stamp))
+    loop.graph.spin_for(0.2)  # for repetitions of the simulator that have not arrived yet
+    loop.poses.clear()
+    loop.graph.publisher(Imu, "imu").publish(newest())
+    loop.graph.until(lambda: loop.poses)
+    assert stamps() == [stamp_from_ros(newest().header.stamp)]
+
+
 def test_clock_that_goes_back_begins_another_calibration_at_the_same_pose(loop) -> None:
     before = loop.node.odometry.estimate.pose
     loop.node._control_clock.hear(clock_message(0))

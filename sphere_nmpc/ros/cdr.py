@@ -30,6 +30,8 @@ from sphere_nmpc.quantity import NANOSECONDS
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
 """Names of the rotors about body x and body y."""
+LARGEST_JOINTS = 100_000, "some thousand joints"
+"""Size of the largest message of joint states that is read [bytes], and what it is enough for."""
 WORLD_FRAME = "world"
 BODY_FRAME = "base_link"
 

@@ -14,18 +14,22 @@ from patience import LOCKSTEP
 from ros_graph import Graph, running_graph, values_of
 from sensor_msgs.msg import Imu
 
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error, upright_state
+from sphere_nmpc.ros.cdr import clock_message
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros, stamp_to_ros
 from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_sim.ros.simulator import node as simulator_node
 from sphere_sim.ros.simulator.node import SimulatorNode
+from sphere_sim.world.robot_description import make_urdf
 
 pytestmark = pytest.mark.slow
 
 START = upright_state(1.0, -0.5, 0.4)
-IMU = {"imu.position": [0.12, -0.05, 0.1], "imu.orientation": [0.5, 0.5, -0.5, 0.5]}
+IMU = ImuSettings(position=(0.12, -0.05, 0.1), orientation=(0.5, 0.5, -0.5, 0.5))
 GOAL = upright_state(1.6, 0.2, 1.0)
 RVIZ = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.0685]).ravel()
 """Covariance that RViz sends by default."""
@@ -41,11 +45,13 @@ class Loop:
         self.odometries = graph.collect(Odometry, "odom")
         self.statuses = graph.collect(DiagnosticStatus, "odometry/status", LATCHED)
         self.imu = graph.collect(Imu, "imu")
-        common = {"initial_state": START.tolist(), **IMU}
-        self.node = graph.start(OdometryNode, use_sim_time=True, **common)
+        start = {"initial_state": START.tolist()}
+        urdf = make_urdf(RobotParameters(), imu=IMU)
+        self.node = graph.start(OdometryNode, use_sim_time=True, robot_description=urdf, **start)
         self.controller = graph.start(ControllerNode, use_sim_time=True, lockstep=True)
         self.simulator = graph.start(
-            SimulatorNode, pose_source="odometry", real_time_factor=0.0, **LOCKSTEP, **common
+            SimulatorNode, pose_source="odometry", real_time_factor=0.0, **LOCKSTEP, **start,
+            **{"imu.position": list(IMU.position), "imu.orientation": list(IMU.orientation)},
         )
         graph.until(lambda: self.poses)
 
@@ -137,3 +143,25 @@ def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
     loop.graph.publisher(Imu, "imu").publish(reading)
     loop.graph.until(lambda: loop.node._fault_log.counts["imu refused"])
     assert loop.error[0] < 0.01
+
+
+def test_reading_that_is_repeated_while_time_stands_still_gives_its_pose_again(loop) -> None:
+    loop.graph.remove(loop.simulator)
+
+    def stamps() -> list[int]:
+        return [stamp_from_ros(one.header.stamp) for one in loop.poses]
+
+    def newest() -> Any:
+        return max(loop.imu, key=lambda one: stamp_from_ros(one.header.stamp))
+
+    loop.graph.until(lambda: stamps()[-1] == stamp_from_ros(newest().header.stamp))
+    loop.graph.spin_for(0.2)  # for repetitions of the simulator that have not arrived yet
+    loop.poses.clear()
+    loop.graph.publisher(Imu, "imu").publish(newest())
+    loop.graph.until(lambda: loop.poses)
+    assert stamps() == [stamp_from_ros(newest().header.stamp)]
+
+
+def test_clock_that_goes_back_begins_another_calibration(loop) -> None:
+    loop.node._control_clock.hear(clock_message(0))
+    assert loop.values()["calibrated"] == "false"

@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.ros.cdr import rotor_speeds_and_stamp
+from sphere_nmpc.ros.cdr import LARGEST_JOINTS, rotor_speeds_and_stamp
 from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
@@ -19,9 +19,6 @@ from sphere_nmpc.ros.guarded_node import GuardedNode
 _NEWEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _SPACING = 8e-3
 """Wall time between two messages that are read [s]: delays of a link are longer than this."""
-
-_LARGEST = 100_000, "some thousand joints"
-"""Size of the largest message [bytes]."""
 
 
 class RotorReceiver:
@@ -47,7 +44,7 @@ class RotorReceiver:
         if needed and self._subscription is None:
             self._subscription = self._node.create_subscription(
                 JointState, "joint_states", self._receive, _NEWEST, event_callbacks=NO_EVENTS,
-                raw=True, largest=_LARGEST,
+                raw=True, largest=LARGEST_JOINTS,
             )
         elif not needed and self._subscription is not None:
             self._node.destroy_subscription(self._subscription)

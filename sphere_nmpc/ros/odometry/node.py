@@ -24,7 +24,7 @@ from sphere_nmpc.model.error_state import fixed_axes_covariance
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros import cdr
-from sphere_nmpc.ros.cdr import BODY_FRAME, seconds, stamp_of
+from sphere_nmpc.ros.cdr import BODY_FRAME, LARGEST_JOINTS, seconds, stamp_of
 from sphere_nmpc.ros.control_clock import ClockedNode, ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.lifetime import run
@@ -41,8 +41,6 @@ _DEPTH = 10
 """Poses kept for a subscriber that is slow."""
 _CHECK_EVERY = 0.25
 """Wall time between two checks of sensors and topics, and two statuses [s]."""
-_LARGEST = 100_000, "some thousand joints"
-"""Size of the largest message of joint states [bytes]."""
 _NOT_MEASURED = -1.0
 """First element of a covariance of sensor_msgs/Imu whose quantity is not measured."""
 
@@ -86,7 +84,7 @@ class OdometryNode(ClockedNode):
         raw: dict[str, Any] = {"event_callbacks": NO_EVENTS, "raw": True}
         self.create_subscription(Imu, "imu", self._receive_imu, _ALL, **raw)
         self.create_subscription(
-            JointState, "joint_states", self._receive_joints, _ALL, largest=_LARGEST, **raw
+            JointState, "joint_states", self._receive_joints, _ALL, largest=LARGEST_JOINTS, **raw
         )
         for topic, take in (("initialpose", self._set_pose), ("pose_fix", self._correct)):
             self.create_subscription(
@@ -115,8 +113,10 @@ class OdometryNode(ClockedNode):
                     f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
                     f"stands for an IMU that does not measure the {name}",
                 )
-        if self._mounted not in ("", frame):
+        if self._mounted is None:
             self._mount(frame)
+        elif self._mounted not in ("", frame):
+            raise InvalidInputError("frame", frame, f"'{self._mounted}', as of the first reading")
         reading = np.array(numbers[13:16]), np.array(numbers[25:28])
         if self.odometry.observe_imu(self._time(stamp), *reading):
             self._publish()

@@ -55,7 +55,8 @@ class Stream:
         if self._monitor is not None:
             self._monitor.received((now - stamp) / NANOSECONDS, stamp)
         if stamp > self.newest:
-            self._gaps.append((stamp - self.newest) / NANOSECONDS)
+            if self.newest:
+                self._gaps.append((stamp - self.newest) / NANOSECONDS)
             self.newest = stamp
         return bool(stamp) or (self._clock.simulated and now < _LATE * NANOSECONDS)
 

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.inertial_filter import (
+    OFFSET,
     POSE_ERROR,
     SIZE,
     Belief,
@@ -59,7 +60,8 @@ def test_derivatives_are_those_of_differences(still) -> None:
         begin = Belief(
             applied(pose, error[POSE_ERROR]), numbers + error[5:], np.eye(SIZE), np.zeros(3)
         )
-        end, _ = recorded.advance(begin, samples)
+        later = samples.speeds + error[OFFSET] * (speeds[-1] - speeds[0]) / samples.duration
+        end, _ = recorded.advance(begin, samples._replace(speeds=later))
         return end.pose, recorded.taken
 
     end, measured = taken(np.zeros(SIZE))
@@ -79,7 +81,9 @@ def test_derivatives_are_those_of_differences(still) -> None:
         expected = by[:, POSE_ERROR] @ ends + by @ np.diag([0.0] * 5 + [1.0] * (SIZE - 5))
         # Left out is that gyro errors turn the interval within itself: by half its length times
         # the velocity, 1 m/s; of a bias of 1e-4 rad/s after a calibration that is 3e-6 m/s.
-        np.testing.assert_allclose(row, expected, atol=0.05)
+        # The mean rate by the rotors is linearised in the middle of the interval.
+        tolerance = 0.06 + 0.04 * np.abs(by).max(axis=0)
+        assert np.all(np.abs(row - expected) < tolerance)
 
 
 def test_errors_are_within_the_covariance_told() -> None:

@@ -308,12 +308,13 @@ class InertialFilter:
 
         In rad/s and the body frame, shape (3,), by the error, shape (3, 22).
         """
-        model: Vector = np.zeros(3)
-        for j, middle in enumerate(middles):
-            model += self.model_rate(belief, middle, 0.5 * (speeds[j] + speeds[j + 1]))[0]
+        means = 0.5 * (speeds[:-1] + speeds[1:])
+        rates = [
+            self.model_rate(belief, middle, mean)
+            for middle, mean in zip(middles, means, strict=True)
+        ]
         half = len(middles) // 2
-        turn = middles[half]
-        rate, inverse = self.model_rate(belief, turn, speeds[half])
+        turn, (rate, inverse) = middles[half], rates[half]
         c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
         up, momentum = turn[2], belief.value(MOMENTUM)
         by = np.zeros((3, SIZE))
@@ -329,7 +330,7 @@ class InertialFilter:
             rate, inverse @ (r1 * (up @ rate) * up - axial), inverse @ axial
         ))
         by[:, OFFSET] = -c1 * (inverse @ np.append((speeds[-1] - speeds[0]) / duration, 0.0))
-        return model / len(middles), by
+        return np.mean([found for found, _ in rates], axis=0), by
 
     def _with_rate(
         self, belief: Belief, model: Vector, by: Vector, rates: Vector, duration: float,

@@ -23,9 +23,9 @@ class Fix(NamedTuple):
     """A pose that was measured elsewhere."""
 
     time: float
-    """[s]"""
+    """Time of measurement [s]."""
     pose: Vector
-    """Shape (6,)."""
+    """Position [m] and quaternion wxyz, shape (6,)."""
     covariance: Vector
     """Of the error in the world frame, shape (5, 5)."""
     replaces: bool = False

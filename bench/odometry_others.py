@@ -28,9 +28,24 @@ _ORIENTATION_DEVIATION = 0.01
 """Of the orientation that the attitude filter gives to the general one [rad]."""
 
 
-def calibrated(times: Vector, rates: Vector) -> Vector:
-    """Return angular velocities less their mean before time 0, at rest [rad/s], shape (n, 3)."""
-    found: Vector = rates - rates[times < 0.0].mean(axis=0)
+def poses_by_others(
+    times: Vector, rates: Vector, forces: Vector, start: Vector, radius: float,
+    imu: SimulatedImuSettings,
+) -> dict[str, Vector]:
+    """Return the poses, (n, 6), from the readings of an IMU at `times` [s], by method.
+
+    The sphere rests at `start`, (6,), until time 0, where the mean of the gyro is its bias.
+    """
+    rates = rates - rates[times < 0.0].mean(axis=0)
+    found = {}
+    for gain in GAINS:
+        turns = attitudes(times, rates, forces, start[QUATERNION], gain)
+        found[f"attitude filter {gain:g}"] = rolled(times, rates, turns, start, radius)
+    turns = attitudes(times, rates, forces, start[QUATERNION], GAINS[0])
+    for name, is_fused in (("with", True), ("without", False)):
+        found[f"general filter {name} orientation"] = general(
+            times, rates, forces, turns, start, radius, imu, is_fused
+        )
     return found
 
 

@@ -59,7 +59,7 @@ def tell(found: dict[str, Any], before: str = "") -> None:
             tell(value, f"{before}{name}: ")
         elif not isinstance(value, list):
             print(f"{before}{name} {value if isinstance(value, int) else f'{value:.4g}'}")
-        elif len(value) <= len(INSTANTS):
+        elif len(value) <= len(INSTANTS) and isinstance(value[0], float):
             print(f"{before}{name} " + "  ".join(f"{one:.4g}" for one in value), flush=True)
 
 

@@ -57,6 +57,10 @@ class ImuSettings:
         0.15, "m/s^2", "Standard deviation of the accelerometer's bias; 0.15 is 15 mg",
         minimum=0.0, maximum=10.0,
     )
+    accelerometer_scale: float = quantity(
+        3e-3, "-", "Standard deviation of the accelerometer's scale around 1", minimum=0.0,
+        maximum=0.5,
+    )
     accelerometer_range: float = quantity(
         39.0, "m/s^2", "Largest specific force along an axis", minimum=1.0, maximum=1e4
     )

@@ -4,11 +4,11 @@
 
 The gyro is the input: it turns the shell, and without slip the sphere rolls by that. The error is
 
-    [p, phi, b_g, s_g, b_a, h, c, rho, tau]
+    [p, phi, b_g, s_g, b_a, s_a, h, c, rho, tau]
 
 position [m] and rotation [rad] in the world frame, true minus estimated, R_true = exp(phi) R, with
 which the model, which no motion of the plane changes, is linear in the unobservable position and
-heading; bias and scale of the gyro and bias of the accelerometer, in the axes of the sensor;
+heading; biases and scales of gyro and accelerometer, in the axes of the sensor;
 momentum over I1 [rad/s; world]; relative errors of c1, r1, r3 and of the radius; and the time by
 which the stamps of the rotors' speeds are late [s].
 
@@ -32,11 +32,11 @@ from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
-P, PHI, GYRO_BIAS, GYRO_SCALE, FORCE_BIAS, MOMENTUM, CONSTANTS = (
+P, PHI, GYRO_BIAS, GYRO_SCALE, FORCE_BIAS, FORCE_SCALE, MOMENTUM, CONSTANTS = (
     slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11), slice(11, 14), slice(14, 17),
-    slice(17, 20),
+    slice(17, 20), slice(20, 23),
 )
-RADIUS, OFFSET, SIZE = 20, 21, 22
+RADIUS, OFFSET, SIZE = 23, 24, 25
 """Places in the error."""
 POSE_ERROR = slice(0, 5)
 _FIRST = 5
@@ -54,9 +54,9 @@ class Belief(NamedTuple):
     pose: Vector
     """Shape (6,)."""
     numbers: Vector
-    """All that is behind the pose in the error, shape (17,)."""
+    """All that is behind the pose in the error, shape (20,)."""
     covariance: Vector
-    """Of the error, shape (22, 22)."""
+    """Of the error, shape (25, 25)."""
     unexplained: Vector
     """Change of velocity that rolling has not explained recently [m/s; world], shape (3,)."""
 
@@ -146,6 +146,11 @@ class InertialFilter:
         found: Vector = ((rates - belief.value(GYRO_BIAS)) / scale) @ self._turn.T
         return found
 
+    def _force(self, belief: Belief, force: Vector) -> Vector:
+        """Return a measured specific force, shape (3,), without its bias and scale."""
+        found: Vector = (force - belief.value(FORCE_BIAS)) / (1.0 + belief.value(FORCE_SCALE))
+        return found
+
     def rolled(self, belief: Belief) -> float:
         """Return the radius as estimated [m]."""
         return self.radius * (1.0 + float(belief.numbers[RADIUS - _FIRST]))
@@ -181,7 +186,7 @@ class InertialFilter:
         start, pose = rotation.matrix(belief.pose[QUATERNION]), belief.pose
         whole = np.zeros((3, 3))  # int R T dt
         scaled = np.zeros((3, 3))  # int R T diag(rate of the sensor) dt
-        force: Vector = np.zeros(3)
+        felt = np.zeros((3, 3))  # int R T diag(specific force of the sensor) dt
         way: Vector = np.zeros(3)
         middles: list[Vector] = []
         for j, (before, after) in enumerate(zip(samples.times, samples.times[1:], strict=False)):
@@ -195,7 +200,7 @@ class InertialFilter:
             part = middle @ turn * step
             whole += part
             scaled += part * (mean @ turn)
-            force += part @ samples.forces[j + 1]
+            felt += part * self._force(belief, samples.forces[j + 1])
             way += middle @ turned
         model = None
         if samples.speeds is not None:
@@ -208,7 +213,7 @@ class InertialFilter:
         largest = SATURATED * self.imu.accelerometer_range
         if samples.usable and np.max(np.abs(samples.forces[1:])) < largest:
             found, by_force, jump = self._with_force(
-                moved, start, rates, whole, force, duration, samples
+                moved, start, rates, whole, felt, duration, samples
             )
         by_rate = math.nan
         if by_force > self._numbers.improbable:
@@ -268,22 +273,21 @@ class InertialFilter:
         return predicted
 
     def _with_force(
-        self, belief: Belief, start: Vector, rates: Vector, whole: Vector, force: Vector,
+        self, belief: Belief, start: Vector, rates: Vector, whole: Vector, felt: Vector,
         duration: float, samples: Samples,
     ) -> tuple[Belief, float, Vector]:
         """Return the belief with the integrated specific force taken into account."""
         numbers, imu = self._numbers, self.imu
         radius, turn = self.rolled(belief), self._turn
         end = rotation.matrix(belief.pose[QUATERNION])
-        force = force - whole @ belief.value(FORCE_BIAS)
+        force = felt.sum(axis=1)
         first, last = rates[0], rates[-1]
         by = np.zeros((3, SIZE))
-        by[:, FORCE_BIAS] = whole
+        by[:, FORCE_BIAS], by[:, FORCE_SCALE] = whole, felt
         change = lever = np.zeros(3)
         if not samples.still:
             change = end @ last - start @ first
             lever = end @ np.cross(last, self._place) - start @ np.cross(first, self._place)
-            by[:, RADIUS] = radius * (ROLL @ change)
             arm = _cross(self._place)
             after, before = (
                 (radius * ROLL @ place - place @ arm) @ turn for place in (end, start)
@@ -293,9 +297,10 @@ class InertialFilter:
         by[:, PHI] = _cross(force) - radius * (ROLL @ _cross(change)) - _cross(lever)
         jump = force - radius * (ROLL @ change) - lever - GRAVITY * duration * _UP
         variance = imu.accelerometer_noise**2 * duration
-        step = duration / (len(samples.times) - 1)
+        # That of the radius counts, but is not estimated: scales of the sensors look the same.
+        variance += radius**2 * float(change @ change) * float(belief.covariance[RADIUS, RADIUS])
         if not samples.still:
-            variance += 2.0 * (radius**2 + self._lever) * imu.gyro_noise**2 / step
+            variance += 2.0 * (radius**2 + self._lever) * imu.gyro_noise**2 / samples.step
         found, square = self._updated(belief, by, jump, variance * np.eye(3), numbers.improbable)
         if square > numbers.improbable:
             found = belief._replace(unexplained=belief.unexplained + jump)
@@ -306,7 +311,7 @@ class InertialFilter:
     ) -> tuple[Vector, Vector]:
         """Return the mean angular velocity by the balance of momentum, and its derivative.
 
-        In rad/s and the body frame, shape (3,), by the error, shape (3, 22).
+        In rad/s and the body frame, shape (3,), by the error, shape (3, 25).
         """
         means = 0.5 * (speeds[:-1] + speeds[1:])
         rates = [

@@ -17,7 +17,9 @@ from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.inertial_filter import (
+    CONSTANTS,
     FORCE_BIAS,
+    FORCE_SCALE,
     GYRO_BIAS,
     GYRO_SCALE,
     MOMENTUM,
@@ -41,6 +43,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
+from sphere_nmpc.model.units import RobotUnits
 
 _LEAST_DEVIATION = 1e-6
 """Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
@@ -95,7 +98,7 @@ class Odometry:
         self, settings: OdometrySettings, imu: ImuSettings, robot: RobotParameters
     ) -> None:
         self._settings, self._imu = settings, imu
-        self._numbers = OdometryNumbers()
+        self._numbers = OdometryNumbers().of(RobotUnits.of(robot))
         self._filter = InertialFilter(imu, robot, self._numbers)
         self._robot = robot
         self.faults = SensorFaults(imu, self._numbers)
@@ -171,6 +174,8 @@ class Odometry:
         """
         if not (math.isfinite(time) and np.isfinite(rate).all() and np.isfinite(force).all()):
             raise InvalidInputError("IMU", [time, *rate, *force], "finite numbers")
+        if self._open.times and time > self._open.times[-1] + self._numbers.interval:
+            self._bridge(time)
         return self._take(time, np.asarray(rate, float), np.asarray(force, float), True)
 
     def observe_rotors(self, time: float, speeds: Vector, angles: Vector | None = None) -> bool:
@@ -187,12 +192,17 @@ class Odometry:
         newest = self._open.times[-1] if self._open.times else math.nan
         if time > newest + self._numbers.silence and self.is_calibrated:
             self.faults.see(Kind.IMU_SILENT, time, f"given none for {time - newest:.2f} s")
-            rate, force = self._open.rates[-1], self._open.forces[-1]
-            for stamp in [stamp for stamp in self._speeds.times if stamp > newest]:
-                self._take(stamp, rate, force, False)
+            self._bridge(math.inf)
             return True
         self._close_if_due()
         return False
+
+    def _bridge(self, until: float) -> None:
+        """Move by the rotors since the newest reading, up to a time [s]."""
+        held = self._open
+        newest, rate, force = held.times[-1], held.rates[-1], held.forces[-1]
+        for stamp in [stamp for stamp in self._speeds.times if newest < stamp < until]:
+            self._take(stamp, rate, force, False)
 
     def set_pose(self, time: float, pose: Vector, covariance: Vector | None) -> None:
         """Place the sphere, at the newest reading.
@@ -364,8 +374,9 @@ class Odometry:
         deviations: Vector = np.zeros(SIZE)
         deviations[GYRO_BIAS], deviations[GYRO_SCALE] = imu.gyro_bias, imu.gyro_scale
         deviations[FORCE_BIAS] = imu.accelerometer_bias
+        deviations[FORCE_SCALE] = imu.accelerometer_scale
         deviations[MOMENTUM] = self._numbers.push
-        deviations[17:20] = given.constants_deviation
+        deviations[CONSTANTS] = given.constants_deviation
         deviations[RADIUS], deviations[OFFSET] = given.radius_deviation, self._numbers.offset
         belief = Belief(
             self._given.pose, np.zeros(SIZE - 5), np.diag(deviations**2), np.zeros(3)

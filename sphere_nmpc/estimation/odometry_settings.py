@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the odometry: where it begins, what is known of robot and fixes; its numbers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
 
@@ -47,7 +48,7 @@ class OdometrySettings:
 
 @dataclass(frozen=True)
 class OdometryNumbers(EstimatorSettings):
-    """Numbers of the odometry beside those of the estimator, for the robot of Table 1."""
+    """Numbers of the odometry beside those of the estimator; `of` returns them for a robot."""
 
     interval: float = 0.05
     """Time over which readings are taken together [s]."""
@@ -71,3 +72,11 @@ class OdometryNumbers(EstimatorSettings):
     """Age of the newest reading at which a sensor counts as silent [s]."""
     remembered: float = 2.0
     """Time for which a fault is told after it was last seen [s]."""
+
+    def of(self, units: RobotUnits) -> "OdometryNumbers":
+        """Return the numbers in the units of a robot."""
+        found = replace(
+            self, interval=self.interval * units.time, still=self.still / units.time,
+            lift=self.lift * units.length / units.time,
+        )
+        return EstimatorSettings.of(found, units)  # type: ignore[return-value]

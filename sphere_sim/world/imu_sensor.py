@@ -67,6 +67,7 @@ class ImuSensor(SampledSensor[ImuReading]):
         self._gyro_bias = settings.gyro_bias * self._random.normal(size=3)
         self._accelerometer_bias = settings.accelerometer_bias * self._random.normal(size=3)
         self._scale = 1.0 + settings.gyro_scale * self._random.normal(size=3)
+        self._stretch = 1.0 + settings.accelerometer_scale * self._random.normal(size=3)
         self._start_bias = self._gyro_bias
         self._before: tuple[Vector, Vector] | None = None
         """Velocity of its place [m/s; world frame] and orientation at the reading before."""
@@ -118,7 +119,8 @@ class ImuSensor(SampledSensor[ImuReading]):
         """Return what is measured of rate and force `true`, shape (6,), with noise as `drawn`."""
         settings, (gyro, accelerometer) = self.settings, self.settings.deviations
         rate = self._scale * true[_RATE] + gyro_bias + gyro * drawn[_RATE]
-        force = true[_FORCE] + self._accelerometer_bias + accelerometer * drawn[_FORCE]
+        force = self._stretch * true[_FORCE] + self._accelerometer_bias
+        force += accelerometer * drawn[_FORCE]
         return ImuReading(
             stamp, np.clip(rate, -settings.gyro_range, settings.gyro_range),
             np.clip(force, -settings.accelerometer_range, settings.accelerometer_range),

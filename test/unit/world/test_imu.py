@@ -40,7 +40,8 @@ MOUNTING = random_quaternion(np.random.default_rng(8))
 TURN = matrix(MOUNTING)
 EXACT = SimulatedImuSettings(
     position=tuple(AT), orientation=tuple(MOUNTING.tolist()), gyro_noise=0.0, gyro_bias=0.0,
-    gyro_bias_walk=0.0, gyro_scale=0.0, accelerometer_noise=0.0, accelerometer_bias=0.0,
+    gyro_bias_walk=0.0, gyro_scale=0.0,
+    accelerometer_scale=0.0, accelerometer_noise=0.0, accelerometer_bias=0.0,
 )
 MS, SECOND = 1_000_000, 1_000_000_000
 

@@ -57,8 +57,7 @@ SHARE = Path(get_package_share_directory(PACKAGE))
 STATE_PUBLISHER = "robot_state_publisher"
 ACTIONS = "nav2_msgs"
 RECORDED = (
-    "pose", "odom", "ground_truth/pose", "ground_truth/odom", "pose_fix", "odometry/status",
-    "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
+    "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/eta", "controller/floor",
     "controller/predicted_path", "controller/status", "simulator/pushed",
 )
@@ -66,7 +65,9 @@ RECORDED = (
 ends after the first matched subscription, which has to be the one that is meant. The accepted
 goals are in active_goal, map and areas to keep out of in floor, the pushes in pushed. Without imu,
 which is read only while it has a subscription."""
-OF_ODOMETRY = ("imu", "odometry/status", "ground_truth/pose", "ground_truth/odom")
+OF_ODOMETRY = (
+    "imu", "pose_fix", "odometry/status", "ground_truth/pose", "ground_truth/odom",
+)
 """Recorded as well with an odometry node, with which the IMU is read in any case."""
 ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
 TRUE = ("true", "True", "1")

@@ -290,7 +290,7 @@ def test_recording_has_every_documented_topic_except_requested_goals() -> None:
     documented = {topic for _, topic, _, verb, _ in table() if verb not in ("service", "action")}
     # `ros2 topic pub --once` ends after the first matched subscription.
     requested = {"/goal_pose", "/goal_point", "/goals", "/map", "/keepout", "/simulator/push",
-                 "/initialpose", "/pose_fix"}
+                 "/initialpose"}
     assert "--use-sim-time" in record["cmd"]
     copied = {"/amcl_pose"}  # of the pose
     assert documented - requested - copied <= recorded and not (requested | copied) & recorded

@@ -22,8 +22,8 @@ def rolled_radius(
 ) -> tuple[float, float]:
     """Return the radius that makes a way as long as it was measured, and its estimated length [m].
 
-    The estimate is proportional to the radius [m] that it was made with, unless the odometry
-    estimates that, too, which it does not with `radius_deviation` 0. `times` [s], shape (K,),
+    The estimate is proportional to the radius [m] that it was made with, unless the odometry had
+    fixes, from which it estimates that, too. `times` [s], shape (K,),
     rise, `places` [m], shape (K, 2), are those of the centre then; `distance` [m] was measured
     between the ends. `InvalidInputError` is raised where that is no straight way of a metre or
     more, or the sphere does not rest at both ends.

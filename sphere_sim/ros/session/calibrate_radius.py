@@ -87,7 +87,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="sphere_nmpc calibrate_radius",
         description="Find the radius of the shell: let the sphere roll along a straight line, "
-        "with poses of an odometry whose radius_deviation is 0, and measure how far it came.",
+        "with poses of an odometry that gets no pose_fix, and measure how far it came.",
     )
     parser.add_argument("distance", type=positive, metavar="METRES", help="way that was measured")
     parser.add_argument("--tape", type=positive, default=1e-3, metavar="METRES",

@@ -31,8 +31,8 @@ class SensorFaults:
         self._last: Vector = np.zeros(6)
         self._equal = 0
         self._angles: tuple[float, Vector] | None = None
-        self._contradictions = 0
-        self._may_be_pushed = False
+        self._contradictions, self._contradicted_at = 0, -math.inf
+        self._may_be_pushed = self._is_moving = False
         self.are_encoders_stuck = False
         """Whether the encoders have shown no turning although the rotors turn."""
 
@@ -69,10 +69,8 @@ class SensorFaults:
                 f"{self._imu.gyro_range:.3g} rad/s; the rotors tell how it turns meanwhile",
             )
             return False
+        # At rest readings without noise repeat.
         return self._equal < _REPEATED or not self._is_moving
-
-    _is_moving = False
-    """Whether the rotors turn the shell, so that readings have to differ."""
 
     def rotors(self, time: float, speeds: Vector, angles: Vector | None) -> bool:
         """Take speeds [rad/s] and angles [rad]; return whether those before cannot be believed."""
@@ -80,13 +78,15 @@ class SensorFaults:
         if angles is None:
             return False
         was_stuck = self.are_encoders_stuck
-        if self._angles is None or not np.array_equal(angles, self._angles[1]):
-            self._angles, self.are_encoders_stuck = (time, np.array(angles)), False
+        is_turning = self._angles is None or not np.array_equal(angles, self._angles[1])
+        if self._angles is None or is_turning:
+            self._angles = time, np.array(angles)
+        if is_turning or time > self._contradicted_at + self._numbers.remembered:
             self._contradictions = 0
         turned = float(np.max(np.abs(speeds))) * (time - self._angles[0])
         is_stuck = time - self._angles[0] > self._numbers.silence and turned > 1.0
-        if is_stuck or self._contradictions >= _CONTRADICTIONS:
-            self.are_encoders_stuck = True
+        self.are_encoders_stuck = is_stuck or self._contradictions >= _CONTRADICTIONS
+        if self.are_encoders_stuck:
             self.see(
                 Kind.ENCODERS_STUCK, time,
                 f"given angles that stand still at {np.max(np.abs(speeds)):.3g} rad/s while the "
@@ -119,7 +119,7 @@ class SensorFaults:
                     "rolling does not explain; the position is less certain",
                 )
         elif findings.rate > numbers.improbable:
-            self._contradictions += 1
+            self._contradictions, self._contradicted_at = self._contradictions + 1, time
         offset = float(belief.numbers[OFFSET - 5])
         spread = math.sqrt(float(belief.covariance[OFFSET, OFFSET]))
         is_late = abs(offset) > max(_LATE, _SIGNIFICANT * spread)

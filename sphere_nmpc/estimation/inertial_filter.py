@@ -21,6 +21,7 @@ momentum, (diag(1, 1, r1/r3) - r1 k k^T) omega = -c1 ([u, 0] - R^T h), k the ver
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -134,7 +135,13 @@ class InertialFilter:
     def __init__(
         self, imu: ImuSettings, robot: RobotParameters, numbers: OdometryNumbers
     ) -> None:
-        self.imu, self._numbers = imu, numbers
+        # Below these the errors of the discretisation are larger.
+        gyro, accelerometer = numbers.least_noises
+        self.imu = imu = replace(
+            imu, gyro_noise=max(imu.gyro_noise, gyro),
+            accelerometer_noise=max(imu.accelerometer_noise, accelerometer),
+        )
+        self._numbers = numbers
         self._constants = np.array(robot.lumped.as_array()[1:])
         self.radius = robot.shell_radius
         self._turn, self._place = imu.turn, np.array(imu.position)
@@ -303,7 +310,12 @@ class InertialFilter:
             variance += 2.0 * (radius**2 + self._lever) * imu.gyro_noise**2 / samples.step
         found, square = self._updated(belief, by, jump, variance * np.eye(3), numbers.improbable)
         if square > numbers.improbable:
-            found = belief._replace(unexplained=belief.unexplained + jump)
+            # Or the tilt, or the bias is another one: where that lasts it is learnt anew.
+            covariance = belief.covariance.copy()
+            for part, size in ((PHI, 1.0), (FORCE_BIAS, GRAVITY)):
+                covariance[part, part] += (numbers.doubt * size) ** 2 * np.eye(3)
+            unexplained = belief.unexplained + jump
+            found = belief._replace(covariance=covariance, unexplained=unexplained)
         return found, square, jump
 
     def _model(

@@ -97,9 +97,10 @@ class Odometry:
     def __init__(
         self, settings: OdometrySettings, imu: ImuSettings, robot: RobotParameters
     ) -> None:
-        self._settings, self._imu = settings, imu
+        self._settings = settings
         self._numbers = OdometryNumbers().of(RobotUnits.of(robot))
         self._filter = InertialFilter(imu, robot, self._numbers)
+        self._imu = self._filter.imu
         self._robot = robot
         self.faults = SensorFaults(imu, self._numbers)
         """Faults of the sensors, and what has happened to the sphere."""

@@ -52,6 +52,11 @@ class OdometryNumbers(EstimatorSettings):
 
     interval: float = 0.05
     """Time over which readings are taken together [s]."""
+    momentum_walk: float = 2.0
+    """Random walk of the momentum [rad/s per sqrt(s)]: by friction, slope and imbalance, which are
+    not estimated; rolling friction of 2 mm takes 9 rad/s^2 from the robot of Table 1."""
+    least_noises: tuple[float, float] = (3e-5, 1e-3)
+    """Least noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)]."""
     model_noise: float = 2e-4
     """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
     blind: float = 1.0
@@ -62,6 +67,9 @@ class OdometryNumbers(EstimatorSettings):
     """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
     rest: float = 1.0
     """Time over which the gyro is averaged to tell rest from slow turning [s]."""
+    doubt: float = 3e-4
+    """Standard deviation that is added to tilt and bias over gravity where a force is not
+    explained [rad]."""
     forgotten: float = 0.7
     """Share of a change of velocity that was not explained which counts in the next interval."""
     lift: float = 0.1

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detector of rest, by the rotors and the gyro."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -12,6 +13,8 @@ from sphere_nmpc.model.state import Vector
 
 _SIGNIFICANT = 4.0
 """Standard deviations [-] that the mean rate at rest may differ from the bias of the gyro."""
+_BEGINS = 6.0
+"""Standard deviations of its noise [-] that a reading of the gyro may differ from their mean."""
 
 
 class RestDetector:
@@ -52,9 +55,11 @@ class RestDetector:
         whole = sum(one for one, _ in self._turned)
         mean = np.sum([turned for _, turned in self._turned], axis=0) / whole
         rate = self._filter.body_rates(belief, mean[None])[0]
+        noise = self._filter.imu.gyro_noise
+        begins = bool(np.max(np.abs(rates - mean)) > _BEGINS * noise / math.sqrt(samples.step))
         spread = float(np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS]))
-        spread += 3.0 * self._filter.imu.gyro_noise**2 / whole
-        if float(rate @ rate) > _SIGNIFICANT**2 * spread:
+        spread += 3.0 * noise**2 / whole
+        if begins or float(rate @ rate) > _SIGNIFICANT**2 * spread:
             self._turns = True
             self._turned.clear()
         elif whole > self._numbers.rest - duration:

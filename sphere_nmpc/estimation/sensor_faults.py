@@ -14,8 +14,8 @@ from sphere_nmpc.model.state import Vector
 
 _REPEATED = 3
 """Equal readings in a row of a sensor that is stuck: noise changes some digit of six each time."""
-_CONTRADICTIONS = 4
-"""Intervals in which the shell turns otherwise than by angles that stand still: a push is one."""
+_CONTRADICTIONS = 8
+"""Intervals in which the shell turns otherwise than by the rotors: a push takes some."""
 _SIGNIFICANT = 4.0
 """Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
 _LATE = 5e-3
@@ -33,6 +33,7 @@ class SensorFaults:
         self._angles: tuple[float, Vector] | None = None
         self._contradictions, self._contradicted_at = 0, -math.inf
         self._may_be_pushed = self._is_moving = False
+        self._late = 0
         self.are_encoders_stuck = False
         """Whether the encoders have shown no turning although the rotors turn."""
 
@@ -130,7 +131,9 @@ class SensorFaults:
                 "given an angular velocity that the rotors do not explain, with a momentum",
             )
         self._may_be_pushed = findings.rate > numbers.improbable
-        if is_late and Kind.PUSHED not in self._seen and Kind.SLIPPED not in self._seen:
+        is_disturbed = Kind.PUSHED in self._seen or Kind.SLIPPED in self._seen
+        self._late = self._late + 1 if is_late and not is_disturbed else 0
+        if self._late >= _CONTRADICTIONS:
             self.see(
                 Kind.ENCODERS_LATE, time,
                 f"given stamps of the rotor speeds {1e3 * offset:.1f} ms behind those of the IMU, "

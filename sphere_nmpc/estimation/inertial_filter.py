@@ -8,9 +8,9 @@ The gyro is the input: it turns the shell, and without slip the sphere rolls by 
 
 position [m] and rotation [rad] in the world frame, true minus estimated, R_true = exp(phi) R, with
 which the model, which no motion of the plane changes, is linear in the unobservable position and
-heading; biases and scales of gyro and accelerometer, in the axes of the sensor;
-momentum over I1 [rad/s; world]; relative errors of c1, r1, r3 and of the radius; and the time by
-which the stamps of the rotors' speeds are late [s].
+heading; biases and scales of gyro and accelerometer, in the axes of the sensor; momentum over I1
+[rad/s; world frame], which turns with phi as well, h_true = exp(phi) (h + dh); relative errors of
+c1, r1, r3 and of the radius; and the time by which the stamps of the rotors' speeds are late [s].
 
 Measured are, over an interval of some hundredths of a second, the specific force, integrated,
 
@@ -130,11 +130,17 @@ class Samples(NamedTuple):
 
 
 class InertialFilter:
-    """Model of sphere and sensors, with the prediction and the updates of a `Belief`."""
+    """Model of sphere and sensors, with the prediction and the updates of a `Belief`.
+
+    `pivoting` is the angular velocity about the vertical at which a sphere may turn unnoticed
+    [rad/s].
+    """
 
     def __init__(
-        self, imu: ImuSettings, robot: RobotParameters, numbers: OdometryNumbers
+        self, imu: ImuSettings, robot: RobotParameters, numbers: OdometryNumbers,
+        pivoting: float = 0.0,
     ) -> None:
+        self._pivoting = pivoting
         # Below these the errors of the discretisation are larger.
         gyro, accelerometer = numbers.least_noises
         self.imu = imu = replace(
@@ -267,13 +273,17 @@ class InertialFilter:
             by[P, PHI] = -rolls @ _cross(way)
             by[P] += rolls @ turns
             by[P, RADIUS] = rolls @ way
+            by[MOMENTUM] += _cross(belief.value(MOMENTUM)) @ turns
         predicted = by @ covariance @ by.T
         if not samples.still:
             turning = np.vstack((rolls, np.eye(3)))
             predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
-        # A slip goes on, so that its ways add up, not their squares.
+        # Slip and pivoting go on, so that their ways add up, not their squares.
         slipped = math.sqrt(float(belief.unexplained @ belief.unexplained)) * duration
         noise[P] += slipped * (slipped + 2.0 * np.sqrt(np.diag(covariance)[P].max()))
+        if samples.still:
+            turned, heading = self._pivoting * duration, PHI.stop - 1
+            noise[heading] += turned * (turned + 2.0 * math.sqrt(covariance[heading, heading]))
         if abs(belief.unexplained[2]) > numbers.lift:
             noise[P] += numbers.carried**2 * duration
         predicted[np.diag_indices(SIZE)] += noise
@@ -301,8 +311,11 @@ class InertialFilter:
             )
             by[:, GYRO_BIAS] = before - after
             by[:, GYRO_SCALE] = before * (first @ turn) - after * (last @ turn)
-        by[:, PHI] = _cross(force) - radius * (ROLL @ _cross(change)) - _cross(lever)
-        jump = force - radius * (ROLL @ change) - lever - GRAVITY * duration * _UP
+        expected = radius * (ROLL @ change) + lever + GRAVITY * duration * _UP
+        jump = force - expected
+        # At what is expected, for which a change of the heading has no effect: with the noise of
+        # what is measured the filter would take it for information on the heading.
+        by[:, PHI] = _cross(expected) - radius * (ROLL @ _cross(change)) - _cross(lever)
         variance = imu.accelerometer_noise**2 * duration
         # That of the radius counts, but is not estimated: scales of the sensors look the same.
         variance += radius**2 * float(change @ change) * float(belief.covariance[RADIUS, RADIUS])
@@ -333,14 +346,10 @@ class InertialFilter:
         half = len(middles) // 2
         turn, (rate, inverse) = middles[half], rates[half]
         c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
-        up, momentum = turn[2], belief.value(MOMENTUM)
-        by = np.zeros((3, SIZE))
-        # The vertical in the body changes by -R^T (phi x e3).
+        up, by = turn[2], np.zeros((3, SIZE))
+        # The vertical in the body changes by -R^T (phi x e3), the momentum in it by its own error.
         tilted = turn.T @ _cross(_UP)
-        by[:, PHI] = inverse @ (
-            r1 * (np.outer(up, tilted.T @ rate) + (up @ rate) * tilted)
-            + c1 * (turn.T @ _cross(momentum))
-        )
+        by[:, PHI] = r1 * inverse @ (np.outer(up, tilted.T @ rate) + (up @ rate) * tilted)
         by[:, MOMENTUM] = c1 * (inverse @ turn.T)
         axial = np.array((0.0, 0.0, r1 / r3 * rate[2]))
         by[:, CONSTANTS] = np.column_stack((
@@ -409,10 +418,12 @@ class InertialFilter:
         error = across.T @ solved[:, 0]
         covariance = belief.covariance - across.T @ solved[:, 1:]
         covariance = 0.5 * (covariance + covariance.T)
-        return Belief(
-            applied(belief.pose, error[POSE_ERROR]), belief.numbers + error[_FIRST:], covariance,
-            belief.unexplained,
-        ), square
+        numbers = belief.numbers + error[_FIRST:]
+        momentum = slice(MOMENTUM.start - _FIRST, MOMENTUM.stop - _FIRST)
+        turn = rotation.matrix(rotation.exponential(error[PHI]))
+        numbers[momentum] = turn @ numbers[momentum]
+        pose = applied(belief.pose, error[POSE_ERROR])
+        return Belief(pose, numbers, covariance, belief.unexplained), square
 
 
 def replaced(belief: Belief, pose: Vector, covariance: Vector) -> Belief:

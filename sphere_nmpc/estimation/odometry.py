@@ -99,7 +99,7 @@ class Odometry:
     ) -> None:
         self._settings = settings
         self._numbers = OdometryNumbers().of(RobotUnits.of(robot))
-        self._filter = InertialFilter(imu, robot, self._numbers)
+        self._filter = InertialFilter(imu, robot, self._numbers, settings.pivoting)
         self._imu = self._filter.imu
         self._robot = robot
         self.faults = SensorFaults(imu, self._numbers)

@@ -38,6 +38,12 @@ class OdometrySettings:
         1e-2, "-", "Relative standard deviation of the constants of masses and inertias",
         minimum=0.0, maximum=0.3,
     )
+    pivoting: float = quantity(
+        1e-4, "rad/s",
+        "Angular velocity about the vertical at which a sphere that seems to rest may turn; 0 "
+        "where the friction of its contact stops it",
+        minimum=0.0, maximum=1.0,
+    )
     fix_memory: float = quantity(
         1.0, "s", "Age up to which a pose_fix is used", minimum=0.0, maximum=60.0
     )

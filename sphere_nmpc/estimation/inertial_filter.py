@@ -22,111 +22,40 @@ momentum, (diag(1, 1, r1/r3) - r1 k k^T) omega = -c1 ([u, 0] - R^T h), k the ver
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.inertial_state import (
+    CONSTANTS,
+    FIRST,
+    FORCE_BIAS,
+    FORCE_SCALE,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    MOMENTUM,
+    OFFSET,
+    PHI,
+    POSE_ERROR,
+    RADIUS,
+    SIZE,
+    Belief,
+    Findings,
+    P,
+    Samples,
+    applied,
+)
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
-P, PHI, GYRO_BIAS, GYRO_SCALE, FORCE_BIAS, FORCE_SCALE, MOMENTUM, CONSTANTS = (
-    slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11), slice(11, 14), slice(14, 17),
-    slice(17, 20), slice(20, 23),
-)
-RADIUS, OFFSET, SIZE = 23, 24, 25
-"""Places in the error."""
-POSE_ERROR = slice(0, 5)
-_FIRST = 5
-"""Size of the error of the pose, behind which the error is one of numbers."""
 ROLL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 """Velocity over radius of the centre that rolls by an angular velocity, both in the world."""
 SATURATED = 0.999
 """Share of its range at which a sensor counts as saturated [-]."""
 _UP = np.array([0.0, 0.0, 1.0])
-
-
-class Belief(NamedTuple):
-    """Distribution of the state at one instant."""
-
-    pose: Vector
-    """Shape (6,)."""
-    numbers: Vector
-    """All that is behind the pose in the error, shape (20,)."""
-    covariance: Vector
-    """Of the error, shape (25, 25)."""
-    unexplained: Vector
-    """Change of velocity that rolling has not explained recently [m/s; world], shape (3,)."""
-
-    def value(self, part: slice) -> Vector:
-        """Return a part of the numbers by its place in the error."""
-        return self.numbers[part.start - _FIRST : part.stop - _FIRST]
-
-
-class Findings(NamedTuple):
-    """What an interval has shown beside the state."""
-
-    force: float
-    """Normalised square of the innovation of the specific force; nan where it was not used."""
-    rate: float
-    """That of the angular velocity by the balance of momentum; nan without rotor speeds."""
-    jump: Vector
-    """Innovation of the velocity [m/s; world frame], shape (3,)."""
-
-
-class Samples(NamedTuple):
-    """Readings of an interval, from its start to its end, and speeds of the rotors at these.
-
-    Attributes
-    ----------
-    times : list of float
-        [s], n + 1 of them.
-    rates, forces : list of ndarray, each shape (3,)
-        Angular velocity [rad/s], and mean specific force since the reading before [m/s^2], in the
-        axes of the sensor.
-    valid : list of bool
-        Whether gyro and accelerometer can be believed.
-    speeds : ndarray, shape (n + 1, 2), optional
-        Speeds of the rotors [rad/s]; None where they are not known.
-    bend : float
-        Second differences of these speeds: root of their sum of squares [rad/s].
-    still : bool
-        Whether rotors and shell are at rest.
-    """
-
-    times: list[float]
-    rates: list[Vector]
-    forces: list[Vector]
-    valid: list[bool]
-    speeds: Vector | None = None
-    bend: float = 0.0
-    still: bool = False
-
-    @property
-    def usable(self) -> bool:
-        """Whether all readings can be believed."""
-        return all(self.valid)
-
-    @property
-    def duration(self) -> float:
-        """Length of the interval [s]."""
-        return self.times[-1] - self.times[0]
-
-    @property
-    def step(self) -> float:
-        """Mean time between two readings [s]."""
-        return self.duration / (len(self.times) - 1)
-
-    def part(self, which: slice) -> "Samples":
-        """Return some of the readings in a row."""
-        speeds = None if self.speeds is None else self.speeds[which]
-        return self._replace(
-            times=self.times[which], rates=self.rates[which], forces=self.forces[which],
-            valid=self.valid[which], speeds=speeds,
-        )
 
 
 class InertialFilter:
@@ -166,7 +95,7 @@ class InertialFilter:
 
     def rolled(self, belief: Belief) -> float:
         """Return the radius as estimated [m]."""
-        return self.radius * (1.0 + float(belief.numbers[RADIUS - _FIRST]))
+        return self.radius * (1.0 + float(belief.numbers[RADIUS - FIRST]))
 
     def moved(self, pose: Vector, turned: Vector, radius: float) -> tuple[Vector, Vector]:
         """Return the pose after a small rotation [rad; body frame] and the mean orientation."""
@@ -418,26 +347,12 @@ class InertialFilter:
         error = across.T @ solved[:, 0]
         covariance = belief.covariance - across.T @ solved[:, 1:]
         covariance = 0.5 * (covariance + covariance.T)
-        numbers = belief.numbers + error[_FIRST:]
-        momentum = slice(MOMENTUM.start - _FIRST, MOMENTUM.stop - _FIRST)
+        numbers = belief.numbers + error[FIRST:]
+        momentum = slice(MOMENTUM.start - FIRST, MOMENTUM.stop - FIRST)
         turn = rotation.matrix(rotation.exponential(error[PHI]))
         numbers[momentum] = turn @ numbers[momentum]
         pose = applied(belief.pose, error[POSE_ERROR])
         return Belief(pose, numbers, covariance, belief.unexplained), square
-
-
-def replaced(belief: Belief, pose: Vector, covariance: Vector) -> Belief:
-    """Return a belief at another pose, with the covariance of its error, shape (5, 5)."""
-    changed = belief.covariance.copy()
-    changed[POSE_ERROR, :] = changed[:, POSE_ERROR] = 0.0
-    changed[POSE_ERROR, POSE_ERROR] = covariance
-    return Belief(pose, belief.numbers, changed, np.zeros(3))
-
-
-def applied(pose: Vector, error: Vector) -> Vector:
-    """Return a pose, shape (6,), changed by an error in the world frame, shape (5,)."""
-    q = rotation.product(rotation.exponential(error[2:]), pose[QUATERNION])
-    return np.concatenate((pose[POSITION] + error[:2], q / math.sqrt(float(q @ q))))
 
 
 def _cross(vector: Vector) -> Vector:

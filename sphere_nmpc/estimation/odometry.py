@@ -16,25 +16,10 @@ import numpy as np
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_filter import (
-    CONSTANTS,
-    FORCE_BIAS,
-    FORCE_SCALE,
-    GYRO_BIAS,
-    GYRO_SCALE,
-    MOMENTUM,
-    OFFSET,
-    PHI,
-    POSE_ERROR,
-    RADIUS,
-    ROLL,
-    SIZE,
-    Belief,
-    InertialFilter,
-    Samples,
-    replaced,
-)
+from sphere_nmpc.estimation.inertial_filter import ROLL, InertialFilter
+from sphere_nmpc.estimation.inertial_state import GYRO_BIAS, PHI, POSE_ERROR, Belief, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
+from sphere_nmpc.estimation.placement import LEAST_DEVIATION, initial_belief, placed
 from sphere_nmpc.estimation.pose_history import Fix, PoseHistory
 from sphere_nmpc.estimation.rest import RestDetector
 from sphere_nmpc.estimation.rotor_speeds import RotorSpeeds
@@ -45,10 +30,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 from sphere_nmpc.model.units import RobotUnits
 
-_LEAST_DEVIATION = 1e-6
-"""Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
-_CONTRADICTED = 6.0
-"""Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
+_SLOW = 6.0
+"""Standard deviations [-] of its noise up to which a reading of the gyro may be one at rest."""
 
 
 class PoseEstimate(NamedTuple):
@@ -219,7 +202,8 @@ class Odometry:
             return
         self._close()
         vertical = rotation.vertical(self._belief.pose[QUATERNION])
-        spread = math.sqrt(float(np.max(np.diag(self._belief.covariance)[PHI][:2])))
+        tilt = slice(PHI.start, PHI.start + 2)
+        spread = self._belief.deviation(tilt)
         self._belief = self._placed(self._belief, given, vertical, spread)
         self._history.clear()
         self.faults.placed()
@@ -278,7 +262,7 @@ class Odometry:
             covariance = np.diag(np.square(deviations))
         turn = np.eye(5)
         turn[2:, 2:] = rotation.matrix(pose[QUATERNION])
-        found: Vector = turn @ covariance @ turn.T + _LEAST_DEVIATION**2 * np.eye(5)
+        found: Vector = turn @ covariance @ turn.T + LEAST_DEVIATION**2 * np.eye(5)
         return found
 
     def _left_out(self, text: str) -> Condition:
@@ -324,7 +308,7 @@ class Odometry:
 
     def _is_slow(self, rate: Vector, step: float) -> bool:
         """Return whether an angular velocity may be noise of the gyro at rest."""
-        return float(rate @ rate) < (_CONTRADICTED * self._imu.gyro_noise) ** 2 / step
+        return float(rate @ rate) < (_SLOW * self._imu.gyro_noise) ** 2 / step
 
     def _close_if_due(self) -> None:
         """End the open interval where it is long enough and the speeds of the rotors are there."""
@@ -335,7 +319,7 @@ class Odometry:
         end = bisect_left(times, due)
         # A reading further, as the acceleration is that of the speeds before and after.
         step = (times[end] - times[0]) / end
-        late = 0.0 if self._belief is None else float(self._belief.numbers[OFFSET - 5])
+        late = 0.0 if self._belief is None else self._belief.late
         is_known = self._speeds.reach(times[end] + late + 0.9 * step)
         if is_known or times[-1] > times[end] + numbers.silence:
             self._close(end)
@@ -348,7 +332,7 @@ class Odometry:
             return
         before, after = whole.part(slice(0, end + 1)), whole.part(slice(end, None))
         belief = self._belief or self._started(before)
-        samples = self._speeds.added_to(before, float(belief.numbers[OFFSET - 5]))
+        samples = self._speeds.added_to(before, belief.late)
         samples = samples._replace(still=self._rest.is_at_rest(belief, samples))
         self._history.append(belief, samples)
         self._belief, findings = self._filter.advance(belief, samples)
@@ -371,52 +355,18 @@ class Odometry:
 
     def _started(self, samples: Samples) -> Belief:
         """Return the belief in the given pose, with the tilt that gravity shows."""
-        imu, given = self._imu, self._settings
-        deviations: Vector = np.zeros(SIZE)
-        deviations[GYRO_BIAS], deviations[GYRO_SCALE] = imu.gyro_bias, imu.gyro_scale
-        deviations[FORCE_BIAS] = imu.accelerometer_bias
-        deviations[FORCE_SCALE] = imu.accelerometer_scale
-        deviations[MOMENTUM] = self._numbers.push
-        deviations[CONSTANTS] = given.constants_deviation
-        deviations[RADIUS], deviations[OFFSET] = given.radius_deviation, self._numbers.offset
-        belief = Belief(
-            self._given.pose, np.zeros(SIZE - 5), np.diag(deviations**2), np.zeros(3)
-        )
+        imu = self._imu
         force = imu.turn @ np.mean(samples.forces, axis=0)
         vertical = force / max(float(np.linalg.norm(force)), 1e-3)
+        belief = initial_belief(self._given.pose, imu, self._settings, self._numbers)
         return self._placed(belief, self._given, vertical, imu.accelerometer_bias / GRAVITY)
 
     def _placed(self, belief: Belief, given: Fix, vertical: Vector, spread: float) -> Belief:
-        """Return the belief of a sphere that is put at a given pose.
-
-        `vertical` is that in the body frame as gravity shows it, shape (3,), and `spread` its
-        standard deviation [rad].
-        """
-        pose, covariance = given.pose, given.covariance
-        stated = rotation.vertical(pose[QUATERNION])
-        tilt = float(np.trace(covariance[2:4, 2:4]))
-        axis = np.cross(vertical, stated).astype(float)
-        length = float(np.linalg.norm(axis))
-        between = math.atan2(length, float(stated @ vertical))
-        is_unknown = tilt < 4.0 * _LEAST_DEVIATION**2
-        allowed = _CONTRADICTED * math.sqrt(tilt + spread**2)
-        if is_unknown or between > allowed:
-            if not is_unknown:
-                self.faults.see(
-                    Kind.TILT_REPLACED, given.time,
-                    f"given a pose whose vertical is {math.degrees(between):.1f} deg from that "
-                    f"of the accelerometer, expected at most {math.degrees(allowed):.1f} deg; "
-                    "position and heading are taken",
-                )
-            if length < 1e-9:
-                axis, length = np.array((1.0, 0.0, 0.0)), 1.0
-            turn = rotation.exponential(axis * (between / length))
-            q = rotation.product(pose[QUATERNION], turn)
-            pose = np.concatenate((pose[:2], q / math.sqrt(float(q @ q))))
-            covariance = covariance.copy()
-            covariance[2:4, :] = covariance[:, 2:4] = 0.0
-            covariance[2, 2] = covariance[3, 3] = spread**2
-        return replaced(belief, pose, covariance)
+        """Return the belief of a sphere that is put at a given pose, and note a replaced tilt."""
+        found, contradiction = placed(belief, given, vertical, spread)
+        if contradiction:
+            self.faults.see(Kind.TILT_REPLACED, given.time, contradiction)
+        return found
 
     def _calibrate(self, samples: Samples, belief: Belief) -> None:
         """Note that the sphere rests, and for how long."""

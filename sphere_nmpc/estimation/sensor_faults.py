@@ -8,7 +8,8 @@ import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_filter import OFFSET, SATURATED, Belief, Findings, Samples
+from sphere_nmpc.estimation.inertial_filter import SATURATED
+from sphere_nmpc.estimation.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.state import Vector
 
@@ -121,8 +122,7 @@ class SensorFaults:
                 )
         elif findings.rate > numbers.improbable:
             self._contradictions, self._contradicted_at = self._contradictions + 1, time
-        offset = float(belief.numbers[OFFSET - 5])
-        spread = math.sqrt(float(belief.covariance[OFFSET, OFFSET]))
+        offset, spread = belief.late, belief.deviation(slice(OFFSET, OFFSET + 1))
         is_late = abs(offset) > max(_LATE, _SIGNIFICANT * spread)
         # Speeds that come late look like a push until they have come.
         if self._may_be_pushed and not is_late:

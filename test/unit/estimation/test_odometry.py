@@ -11,14 +11,14 @@ from scipy.stats import chi2
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
-from sphere_nmpc.estimation.inertial_filter import (
+from sphere_nmpc.estimation.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.inertial_state import (
     MOMENTUM,
     OFFSET,
     POSE_ERROR,
     RADIUS,
     SIZE,
     Belief,
-    InertialFilter,
     Samples,
     applied,
 )

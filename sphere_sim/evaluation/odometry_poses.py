@@ -6,12 +6,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+import numpy as np
+
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.world.imu_sensor import ImuReading, ImuSensor
 from sphere_sim.world.simulator import Simulator
 
@@ -52,16 +54,6 @@ class OdometryPoses:
         found = self()
         if not found:
             return math.nan, math.nan
-        return pose_errors(found[-1][1], self._simulator.plant.state)
-
-
-def pose_errors(pose: Vector, true: Vector) -> tuple[float, float]:
-    """Return how far a position [m] and a heading [deg] are from the true ones, shape (6,) each.
-
-    That of the heading is the vertical part of the rotation between the orientations.
-    """
-    turn = rotation.product(pose[QUATERNION], rotation.conjugate(true[QUATERNION]))
-    return (
-        math.dist(pose[POSITION], true[POSITION]),
-        abs(math.degrees(rotation.logarithm(turn)[2])),
-    )
+        at, true = np.zeros(1), self._simulator.plant.state
+        distance, heading = estimate_errors(at, found[-1][1][None], at, true[None])[0]
+        return float(distance), abs(math.degrees(heading))

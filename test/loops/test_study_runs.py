@@ -23,7 +23,12 @@ from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.record import FLOOR_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
+from sphere_sim.study.record import (
+    FLOOR_RESULT_COLUMNS,
+    ODOMETRY_RESULT_COLUMNS,
+    RESULT_COLUMNS,
+    RunRecord,
+)
 from sphere_sim.study.single_run import floor_of, followed_inputs, prepare, run_scenario
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
@@ -187,6 +192,19 @@ def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None
     monkeypatch.setattr("sphere_sim.study.single_run.run_closed_loop", given_up)
     conditions = replace(conditions_with(map_file), duration=1.5)
     assert run_scenario(conditions, ACROSS).results["reason"] == "the goal: it is occupied"
+
+
+def test_runs_on_an_odometry_are_judged_on_the_true_state() -> None:
+    settings = [("simulator.pose_source", "odometry"), ("imu.position", "0.1,-0.05,0.08")]
+    conditions = StudyConditions(duration=6.0).with_settings(settings)
+    results = run_scenario(conditions, SCENARIO).results
+    off, turned = (results[name] for name in ODOMETRY_RESULT_COLUMNS)
+    # What the odometry does not know the controller cannot put right.
+    assert 0.0 < off < 0.02 and 0.0 < turned < 1.0
+    assert abs(results["final_position_error_m"] - off) < 5e-3
+    with pytest.raises(InvalidParameterError, match="latency"):
+        simulator, controller = prepare(conditions, SCENARIO)
+        run_closed_loop(simulator, controller, SCENARIO.goal, 1.0, 0.25, latency=0.1, poses=list)
 
 
 def test_map_adds_columns_to_the_table_and_the_summary(map_file, tmp_path, capsys) -> None:

@@ -111,8 +111,8 @@ class InertialFilter:
     ) -> tuple[Vector, Vector]:
         """Return the angular velocity by the balance of momentum [rad/s; body frame], (3,).
 
-        Also the inverse of its matrix, (3, 3). `turn` is the
-        orientation, body to world, `speeds` are those of the rotors [rad/s].
+        Also the inverse of its matrix, (3, 3). `turn` is the orientation, body to world, `speeds`
+        are those of the rotors [rad/s].
         """
         c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
         up = turn[2]
@@ -122,7 +122,6 @@ class InertialFilter:
 
     def advance(self, belief: Belief, samples: Samples) -> tuple[Belief, Findings]:
         """Return the belief at the end of an interval, and what it has shown."""
-        duration = samples.times[-1] - samples.times[0]
         rates = self._rates(belief, samples)
         radius, turn = self.rolled(belief), self._turn
         start, pose = rotation.matrix(belief.pose[QUATERNION]), belief.pose
@@ -146,23 +145,21 @@ class InertialFilter:
             way += middle @ turned
         model = None
         if samples.speeds is not None:
-            model = self._model(belief, middles, samples.speeds, duration)
-        covariance = self._predicted(belief, whole, scaled, way, duration, samples, model)
+            model = self._model(belief, middles, samples.speeds, samples.duration)
+        covariance = self._predicted(belief, whole, scaled, way, samples, model)
         unexplained = self._numbers.forgotten * belief.unexplained
         moved = Belief(pose, belief.numbers, covariance, unexplained)
         found, by_force = moved, math.nan
         jump: Vector = np.zeros(3)
         largest = SATURATED * self.imu.accelerometer_range
         if samples.usable and np.max(np.abs(samples.forces[1:])) < largest:
-            found, by_force, jump = self._with_force(
-                moved, start, rates, whole, felt, duration, samples
-            )
+            found, by_force, jump = self._with_force(moved, start, rates, whole, felt, samples)
         by_rate = math.nan
         if by_force > self._numbers.improbable:
             # Where it does not roll, the balance does not hold either.
             found.covariance[MOMENTUM, MOMENTUM] += self._numbers.push**2 * np.eye(3)
         elif model is not None and samples.usable:
-            found, by_rate = self._with_rate(found, *model, rates, duration, samples)
+            found, by_rate = self._with_rate(found, *model, rates, samples)
         return found, Findings(by_force, by_rate, jump)
 
     def _rates(self, belief: Belief, samples: Samples) -> Vector:
@@ -179,11 +176,12 @@ class InertialFilter:
         return self.model_rate(belief, rotation.matrix(middle), mean)[0]
 
     def _predicted(
-        self, belief: Belief, whole: Vector, scaled: Vector, way: Vector, duration: float,
-        samples: Samples, model: tuple[Vector, Vector] | None,
+        self, belief: Belief, whole: Vector, scaled: Vector, way: Vector, samples: Samples,
+        model: tuple[Vector, Vector] | None,
     ) -> Vector:
         """Return the covariance at the end of an interval."""
         imu, numbers, covariance = self.imu, self._numbers, belief.covariance
+        duration = samples.duration
         rolls = self.rolled(belief) * ROLL[:2]
         noise = np.zeros(SIZE)
         noise[GYRO_BIAS] = imu.gyro_bias_walk**2 * duration
@@ -220,10 +218,10 @@ class InertialFilter:
 
     def _with_force(
         self, belief: Belief, start: Vector, rates: Vector, whole: Vector, felt: Vector,
-        duration: float, samples: Samples,
+        samples: Samples,
     ) -> tuple[Belief, float, Vector]:
         """Return the belief with the integrated specific force taken into account."""
-        numbers, imu = self._numbers, self.imu
+        numbers, imu, duration = self._numbers, self.imu, samples.duration
         radius, turn = self.rolled(belief), self._turn
         end = rotation.matrix(belief.pose[QUATERNION])
         force = felt.sum(axis=1)
@@ -288,11 +286,10 @@ class InertialFilter:
         return np.mean([found for found, _ in rates], axis=0), by
 
     def _with_rate(
-        self, belief: Belief, model: Vector, by: Vector, rates: Vector, duration: float,
-        samples: Samples,
+        self, belief: Belief, model: Vector, by: Vector, rates: Vector, samples: Samples,
     ) -> tuple[Belief, float]:
         """Return the belief with the angular velocity by the balance of momentum."""
-        numbers, imu = self._numbers, self.imu
+        numbers, imu, duration = self._numbers, self.imu, samples.duration
         wanted = np.zeros(3) if samples.still else 0.5 * np.mean(rates[:-1] + rates[1:], axis=0)
         if not samples.still:
             by[:, GYRO_BIAS] = self._turn

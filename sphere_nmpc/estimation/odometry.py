@@ -21,7 +21,7 @@ from sphere_nmpc.estimation.inertial_state import GYRO_BIAS, PHI, POSE_ERROR, Be
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.estimation.placement import LEAST_DEVIATION, initial_belief, placed
 from sphere_nmpc.estimation.pose_history import Fix, PoseHistory
-from sphere_nmpc.estimation.rest import RestDetector
+from sphere_nmpc.estimation.rest import MOST_NOISE, RestDetector
 from sphere_nmpc.estimation.rotor_speeds import RotorSpeeds
 from sphere_nmpc.estimation.sensor_faults import SensorFaults
 from sphere_nmpc.model import rotation
@@ -29,9 +29,6 @@ from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 from sphere_nmpc.model.units import RobotUnits
-
-_SLOW = 6.0
-"""Standard deviations [-] of its noise up to which a reading of the gyro may be one at rest."""
 
 
 class PoseEstimate(NamedTuple):
@@ -308,7 +305,7 @@ class Odometry:
 
     def _is_slow(self, rate: Vector, step: float) -> bool:
         """Return whether an angular velocity may be noise of the gyro at rest."""
-        return float(rate @ rate) < (_SLOW * self._imu.gyro_noise) ** 2 / step
+        return float(rate @ rate) < (MOST_NOISE * self._imu.gyro_noise) ** 2 / step
 
     def _close_if_due(self) -> None:
         """End the open interval where it is long enough and the speeds of the rotors are there."""

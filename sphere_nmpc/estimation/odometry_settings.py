@@ -89,8 +89,7 @@ class OdometryNumbers(EstimatorSettings):
 
     def of(self, units: RobotUnits) -> "OdometryNumbers":
         """Return the numbers in the units of a robot."""
-        found = replace(
-            self, interval=self.interval * units.time, still=self.still / units.time,
-            lift=self.lift * units.length / units.time,
+        return replace(
+            super().of(units), interval=self.interval * units.time,
+            still=self.still / units.time, lift=self.lift * units.length / units.time,
         )
-        return EstimatorSettings.of(found, units)  # type: ignore[return-value]

@@ -85,7 +85,7 @@ class PoseHistory:
         rate = self._filter.body_rates(belief, np.array(samples.rates[-1:]))[0]
         turned = 0.0 * rate if samples.still else (samples.times[-1] - fix.time) * rate
         pose, _ = self._filter.moved(fix.pose, turned, self._filter.rolled(belief))
-        _, square = self._filter.with_pose(belief, pose, fix.covariance, math.inf)
+        fixed, square = self._filter.with_pose(belief, pose, fix.covariance, math.inf)
         is_off = square > self._improbable
         # Several in a row agree with each other rather than with the filter.
         if is_off and self._refused < self._most_outliers:
@@ -99,8 +99,8 @@ class PoseHistory:
         self._refused = 0
         more = fix._replace(pose=pose, replaces=is_off)
         self._intervals[found] = interval._replace(fixes=(*interval.fixes, more))
-        belief = interval.start
-        for k in range(found, len(self._intervals)):
+        belief = replaced(belief, pose, fix.covariance) if is_off else fixed
+        for k in range(found + 1, len(self._intervals)):
             self._intervals[k] = self._intervals[k]._replace(start=belief)
             belief = self._end_of(self._intervals[k])
         return belief

@@ -14,8 +14,8 @@ from sphere_nmpc.model.state import Vector
 
 _SIGNIFICANT = 4.0
 """Standard deviations [-] that the mean rate at rest may differ from the bias of the gyro."""
-_BEGINS = 6.0
-"""Standard deviations of its noise [-] that a reading of the gyro may differ from their mean."""
+MOST_NOISE = 6.0
+"""Standard deviations of its noise [-] by which a reading of the gyro may differ at rest."""
 
 
 class RestDetector:
@@ -57,7 +57,7 @@ class RestDetector:
         mean = np.sum([turned for _, turned in self._turned], axis=0) / whole
         rate = self._filter.body_rates(belief, mean[None])[0]
         noise = self._filter.imu.gyro_noise
-        begins = bool(np.max(np.abs(rates - mean)) > _BEGINS * noise / math.sqrt(samples.step))
+        begins = bool(np.max(np.abs(rates - mean)) > MOST_NOISE * noise / math.sqrt(samples.step))
         spread = float(np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS]))
         spread += 3.0 * noise**2 / whole
         if begins or float(rate @ rate) > _SIGNIFICANT**2 * spread:

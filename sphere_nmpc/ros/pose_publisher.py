@@ -42,23 +42,23 @@ class PosePublisher:
         self._transforms = node.create_publisher(TFMessage, "/tf", 100) if has_transform else None
 
     def messages(
-        self, poses: Iterable[tuple[int, Vector]], shown: Vector, velocity: Vector,
-        body_rate: Vector, stamp: int,
-        covariances: Callable[[], tuple[Vector, Vector]] | None = None,
+        self, poses: Iterable[tuple[int, Vector]], shown: Vector, stamp: int,
+        moving: Callable[[], tuple[Vector, Vector, tuple[Vector, Vector] | None]],
     ) -> list[tuple[Any, Any]]:
         """Return what is to be published, each with its publisher.
 
         `poses` are states with their stamps [ns]; `shown` is the state of odometry and transform
-        at `stamp`, for the others see `odometry_to_ros`.
+        at `stamp`. `moving` returns the velocities and the covariances of `odometry_to_ros`.
         """
         found = [
             (self._pose, pose_message(state, at, self._radius, self._world)) for at, state in poses
         ]
         # At 2000 instants a second, messages without a subscriber would take too much time.
         if self._odometry.get_subscription_count() > 0:
+            velocity, body_rate, covariances = moving()
             odometry = odometry_to_ros(
                 shown, velocity, body_rate, stamp, self._radius, self._body, self._world,
-                covariances() if covariances else None,
+                covariances,
             )
             found.append((self._odometry, odometry))
         if self._transforms and self._transforms.get_subscription_count() > 0:

@@ -104,7 +104,8 @@ class OdometryNode(ClockedNode):
         return seconds(stamp, self._epoch)
 
     def _receive_imu(self, message: bytes) -> None:
-        stamp, frame, numbers = cdr.fields(message, cdr.Imu)
+        imu = cdr.read(message, cdr.Imu)
+        stamp, frame, numbers = imu
         if not self._reports.imu.received(stamp):
             return
         for name, first in (("angular_velocity", 16), ("linear_acceleration", 28)):
@@ -117,7 +118,7 @@ class OdometryNode(ClockedNode):
             self._mount(frame)
         elif self._mounted not in ("", frame):
             raise InvalidInputError("frame", frame, f"'{self._mounted}', as of the first reading")
-        reading = np.array(numbers[13:16]), np.array(numbers[25:28])
+        reading = np.array(imu.rate), np.array(imu.force)
         if self.odometry.observe_imu(self._time(stamp), *reading):
             self._publish()
         elif stamp == self._sent_stamp:
@@ -157,14 +158,13 @@ class OdometryNode(ClockedNode):
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
         height_deviation = radius * self._settings.radius_deviation
 
-        def covariances() -> tuple[Vector, Vector]:
+        def moving() -> tuple[Vector, Vector, tuple[Vector, Vector]]:
             of_pose = fixed_axes_covariance(pose, estimate.covariance, height_deviation)
-            return of_pose, estimate.twist_covariance
+            covariances = of_pose, estimate.twist_covariance
+            return estimate.velocity, estimate.body_rate, covariances
 
         self._sent_stamp = stamp
-        self._sent = self._publisher.messages(
-            [(stamp, pose)], pose, estimate.velocity, estimate.body_rate, stamp, covariances
-        )
+        self._sent = self._publisher.messages([(stamp, pose)], pose, stamp, moving)
         for publisher, message in self._sent:
             publisher.publish(message)
 

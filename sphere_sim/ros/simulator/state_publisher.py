@@ -58,8 +58,8 @@ class StatePublisher:
         # Tools should not draw the poses of a late or slow sensor: they get the true state then.
         measured = poses[-1][1] if simulator.settings.is_sensor_plain else plant.state
         self._last = self._pose.messages(
-            [(self.epoch + stamp, seen) for stamp, seen in poses], measured, plant.velocity,
-            plant.body_rate, now,
+            [(self.epoch + stamp, seen) for stamp, seen in poses], measured, now,
+            lambda: (plant.velocity, plant.body_rate, None),
         )
         is_wanted = self._has_odometry or self._imu.get_subscription_count() > 0
         if is_wanted is not bool(simulator.imu):

@@ -100,8 +100,8 @@ class ImuSensor(SampledSensor[ImuReading]):
         """Return the readings of the last `duration` [s] before time 0, in order.
 
         The plant has to be at its start, where the sphere has been at rest before: all readings
-        are those of what it measures there, with errors of their own. On a slope that is the
-        specific force of a sphere that begins to roll.
+        are those of what it measures there, with errors of their own; on a slope, of a sphere that
+        is held.
         """
         number = math.ceil(round(duration * NANOSECONDS) / self.period)
         # Backwards, so that the last readings are the same for any duration.

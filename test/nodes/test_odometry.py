@@ -148,18 +148,18 @@ def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
 def test_reading_that_is_repeated_while_time_stands_still_gives_its_pose_again(loop) -> None:
     loop.graph.remove(loop.simulator)
 
-    def stamps() -> list[int]:
-        return [stamp_from_ros(one.header.stamp) for one in loop.poses]
-
-    def newest() -> Any:
-        return max(loop.imu, key=lambda one: stamp_from_ros(one.header.stamp))
-
-    loop.graph.until(lambda: stamps()[-1] == stamp_from_ros(newest().header.stamp))
-    loop.graph.spin_for(0.2)  # for repetitions of the simulator that have not arrived yet
+    reading = loop.graph.publisher(Imu, "imu")
     loop.poses.clear()
-    loop.graph.publisher(Imu, "imu").publish(newest())
-    loop.graph.until(lambda: loop.poses)
-    assert stamps() == [stamp_from_ros(newest().header.stamp)]
+
+    def is_given_again() -> bool:
+        newest = max(loop.imu, key=lambda one: stamp_from_ros(one.header.stamp))
+        reading.publish(newest)
+        given = [stamp_from_ros(one.header.stamp) for one in loop.poses]
+        # More often than readings of the simulator can have been under way: it has been served in
+        # turn with those who receive them.
+        return given.count(stamp_from_ros(newest.header.stamp)) > 100
+
+    loop.graph.until(is_given_again)
 
 
 def test_clock_that_goes_back_begins_another_calibration(loop) -> None:

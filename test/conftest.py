@@ -6,12 +6,11 @@ import fcntl
 import importlib.machinery
 import os
 import signal
-import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
@@ -55,31 +54,9 @@ os.environ["ROS_DOMAIN_ID"] = str(_lock_domain())
 from sphere_nmpc.ros.network import use_loopback_only  # noqa: E402
 
 use_loopback_only()
-from sphere_nmpc.child import END_SIGNALS, end_with_parent  # noqa: E402
+from end_of_run import end_with_this_process  # noqa: E402
 
-
-def end_with_this_process() -> None:
-    """Let all processes that are started from now on end when this one is killed.
-
-    On Linux they then receive SIGTERM, also when the thread ends that has started them.
-    """
-    begin = subprocess.Popen.__init__
-
-    def begin_bound(
-        self: subprocess.Popen, *arguments: Any, preexec_fn: Callable[[], object] | None = None,
-        **options: Any,
-    ) -> None:
-        parent = os.getpid()
-
-        def prepare() -> None:
-            end_with_parent(parent)
-            if preexec_fn is not None:
-                preexec_fn()
-
-        begin(self, *arguments, preexec_fn=prepare, **options)
-
-    subprocess.Popen.__init__ = begin_bound  # type: ignore[method-assign]
-
+from sphere_nmpc.child import END_SIGNALS  # noqa: E402
 
 end_with_this_process()
 

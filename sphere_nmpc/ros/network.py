@@ -137,8 +137,9 @@ def unwritable_log_folder(environment: Mapping[str, str] = os.environ) -> Path |
         folder = (Path(home).expanduser() if home else Path.home() / ".ros") / "log"
     except RuntimeError:  # this user has no home folder
         return Path("~/.ros/log")
-    # ROS itself reads the variables only, not the user database.
-    has_home = bool(home or environment.get("HOME"))
+    # ROS itself reads the variables only, not the user database. A home that does not exist, as
+    # /nonexistent of a system user, is not to be made.
+    has_home = home or os.path.isdir(environment.get("HOME", ""))
     return None if has_home and _is_writable(folder) else folder
 
 

@@ -144,10 +144,12 @@ def test_nothing_is_left_of_memory_whose_process_is_killed_or_cannot_have_it(
     assert not list(tmp_path.iterdir())
 
 
-def test_memory_that_cannot_be_had_or_is_pickled_without_a_channel_is_told(monkeypatch) -> None:
+def test_memory_that_cannot_be_had_or_is_pickled_without_a_channel_is_told(
+    monkeypatch, tmp_path
+) -> None:
     with pytest.raises(TypeError, match="through a channel"):
         pickle.dumps(SharedMemory.of(memoryview(b"alone")))
     monkeypatch.delattr(os, "memfd_create")
-    monkeypatch.setattr(tempfile, "tempdir", "/nonexistent")
-    with pytest.raises(OSError, match="nonexistent"):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(OSError, match="missing"):
         SharedMemory.of(memoryview(b"nowhere"))

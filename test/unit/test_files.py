@@ -8,11 +8,13 @@ import socket
 import sys
 import tempfile
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file
 from sphere_nmpc.own_folder import cache_folder, own_folder
+from sphere_nmpc.ros.network import unwritable_log_folder
 
 
 def test_regular_file_is_read_whole_and_no_other_one(tmp_path) -> None:
@@ -112,11 +114,16 @@ def test_link_file_and_folder_of_another_user_are_refused(tmp_path, monkeypatch)
 
 def test_user_without_a_home_has_a_cache_in_the_temporary_folder(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(os.path, "expanduser", str)  # as without HOME and without an entry
-    for given in (None, "", "relative"):
-        monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-        if given is not None:
-            monkeypatch.setenv("XDG_CACHE_HOME", given)
-        assert cache_folder() == tmp_path / f"sphere_nmpc-{os.getuid()}"
+    missing = str(tmp_path / "missing")
+    without_entry = mock.patch.object(os.path, "expanduser", str)  # nor HOME
+    for home in (without_entry, mock.patch.dict(os.environ, HOME=missing)):
+        for given in (None, "", "relative"):
+            monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+            if given is not None:
+                monkeypatch.setenv("XDG_CACHE_HOME", given)
+            with home:
+                assert cache_folder() == tmp_path / f"sphere_nmpc-{os.getuid()}"
+    assert unwritable_log_folder({"HOME": missing}) is not None
+    assert not Path(missing).exists()
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert cache_folder() == Path("/somewhere/sphere_nmpc")

@@ -64,7 +64,8 @@ docs: $(DOCS_VENV)/.stamp  ## Build the documents as pages in build/pages; a bro
 	$(DOCS_VENV)/bin/sphinx-build -W --keep-going -c docs . build/pages
 
 clean:  ## Remove the virtual environments and all that was built
-	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels $(DOCS_VENV) .pixi build dist install log *.egg-info
+	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels $(DOCS_VENV) .pixi build dist install log *.egg-info \
+		examples/build examples/*.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache sphere_nmpc/solver/native/*.so
 
 # Where standard output is a terminal pip shows its progress, elsewhere a log would be full of it.

@@ -20,7 +20,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check walk faults venv homes newest wheels docs clean
+.PHONY: help demo test test-fast processors check walk faults venv homes newest wheels docs clean
 
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -28,12 +28,16 @@ help:  ## List the commands
 demo: $(VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2"); first installs 1.3 GB in 2 minutes
 	$(VENV)/bin/sphere_nmpc demo $(ARGS)
 
-test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in 7 minutes (ARGS="-k name")
-	@echo "2000 tests take seven minutes on two idle cores, longer on busy ones"
+test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in about 6 minutes (ARGS="-k name")
+	@echo "all tests take about six minutes on two idle cores, longer on busy ones"
 	$(VENV)/bin/python -m pytest $(SPREAD) $(ARGS)
 
 test-fast: $(VENV)/.stamp  ## Run the tests that are not marked slow
 	$(VENV)/bin/python -m pytest $(SPREAD) -m "not slow" $(ARGS)
+
+processors: $(VENV)/.stamp  ## Run the tests of computations with the kernels of other processors
+	for kernel in Prescott Haswell Zen SkylakeX; do OPENBLAS_CORETYPE=$$kernel \
+		$(VENV)/bin/python -m pytest $(SPREAD) test/unit test/loops $(ARGS) || exit 1; done
 
 check: $(VENV)/.stamp  ## Lint and type check
 	$(VENV)/bin/ruff check .
@@ -93,7 +97,7 @@ $(VENV)/.stamp: setup.py package.xml requirements/lock.txt \
 # colcon needs an older setuptools than the rest, hence a virtual environment of its own.
 $(COLCON_VENV)/.stamp: requirements/colcon.txt
 	$(new_venv)
-	@echo "$(@D): colcon and what its builds need, for tests, once: 0.4 GB on disk, half a minute"
+	@echo "$(@D): colcon and what its builds need, for tests, once: 70 MB on disk, half a minute"
 	$(PIP) --use-pep517 -r requirements/colcon.txt
 	@touch $@
 

@@ -6,6 +6,7 @@ import ast
 import itertools
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -111,22 +112,24 @@ def test_wheel_is_complete(tree, tmp_path, environment) -> None:
 def test_colcon_installs_executables_and_shared_files(
     tree, tmp_path, option, environment
 ) -> None:
-    bases = ("--build-base", tmp_path / "build", "--install-base", tmp_path / "install")
-    logs = ("--log-base", tmp_path / "log")
+    workspace = tmp_path / "a workspace"
+    bases = ("--build-base", workspace / "build", "--install-base", workspace / "install")
+    logs = ("--log-base", workspace / "log")
     for built in tree.rglob("solver*.so"):
         built.unlink()
     run(COLCON, *logs, "build", *bases, *option, cwd=tree, env=environment)
     # A linked installation has it in the source tree.
-    built = tree if option else tmp_path / "install"
+    built = tree if option else workspace / "install"
     assert list(built.rglob("solver.so"))
-    prefix = tmp_path / "install" / "sphere_nmpc"
+    prefix = workspace / "install" / "sphere_nmpc"
     for name in ("sphere_nmpc", *cli.VERBS):
         assert os.access(prefix / "lib" / "sphere_nmpc" / name, os.X_OK)
     for name in shared_files(tree):
         assert (prefix / "share" / "sphere_nmpc" / name).is_file(), name
     assert (prefix / "share/ament_index/resource_index/packages/sphere_nmpc").is_file()
     for shell, setup in (("sh", "local_setup.sh"), ("bash", "setup.bash")):
-        words = f". {tmp_path}/install/{setup} && command -v sphere_nmpc && sphere_nmpc --version"
+        install = shlex.quote(f"{workspace}/install/{setup}")
+        words = f". {install} && command -v sphere_nmpc && sphere_nmpc --version"
         path, version = run(shell, "-c", words, env=environment).splitlines()
         assert Path(path).is_relative_to(prefix) and version == "sphere_nmpc 0.1.0"
 

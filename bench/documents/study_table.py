@@ -1,77 +1,166 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Table for docs/results.md from the folders of several studies.
+"""Tables of docs/results.md from studies, or a table of the folders of other studies.
 
-    python bench/documents/study_table.py out/nominal out/wrong_3 out/noise
+    python bench/documents/study_table.py --out out/results --write     # an hour on two cores
+    python bench/documents/study_table.py --out out/results --only noise
+    python bench/documents/study_table.py out/mine out/others
 
-The settling time is compared with that of the best known motion, or with ``--beyond`` with the
-lower bound, as suits far goals. With ``--loose``, for runs with noise, it is the first time from
-which on the error stays below 5e-2, which is not compared, and the error is the 95th percentile
-from then on.
+The first two run the studies that are declared below, as far as their folder does not have them,
+and print their tables; with ``--write`` the tables in the document are replaced. The third makes
+a table of any studies.
 """
 
 import argparse
 import csv
-import json
+import re
+import shlex
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from tables import header
-from tables import row as table_row
+from tables import header, row
 
 from sphere_nmpc.model.state import Vector
+from sphere_sim.cli import study
 
-_HEADER = (
-    "study", "strategy", "settled", "after: median / p99 / worst [s]",
-    "{compared}: median / p99 / worst{unit}", "error left: median / worst", "largest plan [ms]",
-)
+_DOCUMENT = Path(__file__).parents[2] / "docs/results.md"
 
 
-def main() -> None:
-    """Print a row for each strategy of each study."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", type=Path, nargs="+")
-    parser.add_argument("--loose", action="store_true")
-    parser.add_argument("--beyond", action="store_true")
-    given = parser.parse_args()
-    compared = ("beyond lower bound", " [s]") if given.beyond else ("over best known", "")
-    print(header(*(name.format(compared=compared[0], unit=compared[1]) for name in _HEADER)))
-    for folder in given.folders:
-        for runs in sorted([*folder.glob("runs.csv"), *folder.glob("*/runs.csv")]):
-            # With several strategies the folder itself repeats the rows of all of them.
-            if not (runs.parent / "inputs.npz").exists():
-                continue
-            print(row(folder.name, runs.parent, given.loose, given.beyond))
+class Table(NamedTuple):
+    """Table of the document: the study of each row, by its name, and what its columns are."""
+
+    studies: dict[str, str]
+    """Arguments of ``sphere_nmpc study``."""
+    columns: str = "settling"
 
 
-def row(name: str, folder: Path, loose: bool, beyond: bool) -> str:
-    """Return the row of one strategy of one study."""
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+TABLES = {
+    "ideal": Table({
+        "nominal": "--draw 1000 --seed 1 --strategy paper",
+        "nominal, the first 200": "--draw 200 --seed 1",
+    }),
+    "best known": Table({
+        "nominal": "--draw 40 --seed 1",
+        "nominal, `--seed 5`": "--draw 60 --seed 5",
+        "nominal, `plan_keeping`": "--draw 40 --seed 1 --strategy plan_keeping",
+        "nominal, `paper`": "--draw 40 --seed 1 --strategy paper",
+        "parameters wrong by up to 3 %": "--draw 40 --seed 1 --perturb 3",
+        "10 %": "--draw 40 --seed 1 --perturb 10",
+        "20 %": "--draw 40 --seed 1 --perturb 20",
+        "3 %, no learning": "--draw 40 --seed 1 --perturb 3 --no-learning",
+        "contact, true parameters": "--draw 20 --seed 1 --plant rigid_body",
+        "contact, 10 %": "--draw 20 --seed 1 --plant rigid_body --perturb 10",
+    }, "over best known"),
+    "wrong": Table({
+        "3 %": "--draw 200 --seed 1 --perturb 3",
+        "10 %": "--draw 200 --seed 1 --perturb 10",
+        "20 %": "--draw 100 --seed 1 --perturb 20",
+    }),
+    "not learning": Table({
+        "3 %, `paper`": "--draw 60 --seed 1 --perturb 3 --no-learning --strategy paper",
+        "3 %": "--draw 60 --seed 1 --perturb 3 --no-learning",
+        "10 %, `paper`": "--draw 60 --seed 1 --perturb 10 --no-learning --strategy paper",
+        "10 %": "--draw 60 --seed 1 --perturb 10 --no-learning",
+    }),
+    "noise": Table({"noise": "--draw 60 --seed 1 --process-noise 1e-3"}, "loosely settling"),
+    "hard": Table({
+        "circle": "--draw 200 --seed 1 --kind circle",
+        "half turn": "--draw 200 --seed 1 --kind half_turn",
+        "far": "--draw 200 --seed 1 --kind far --duration 90",
+        "1 km": "--draw 20 --seed 1 --kind kilometre --duration 1362",
+    }),
+    "contact": Table({
+        "true parameters": "--draw 200 --seed 1 --plant rigid_body",
+        "3 %": "--draw 200 --seed 1 --plant rigid_body --perturb 3",
+        "10 %": "--draw 200 --seed 1 --plant rigid_body --perturb 10",
+        "20 %": "--draw 200 --seed 1 --plant rigid_body --perturb 20",
+    }),
+    "contact, others": Table({
+        "true parameters, no learning": "--draw 40 --seed 1 --plant rigid_body --no-learning",
+        "true parameters, `paper`": "--draw 40 --seed 1 --plant rigid_body --strategy paper",
+        "10 %, `paper`": "--draw 40 --seed 1 --plant rigid_body --perturb 10 --strategy paper",
+    }),
+}
+
+
+def lines(studies: dict[str, Path], columns: str) -> str:
+    """Return the table of the studies in some folders, by name."""
+    names = {
+        "settling": ("settled", "after: median / p99 / worst [s]", "error left: median / worst"),
+        "over best known": ("settled", "ratio: median / p90 / p99 / worst"),
+    }
+    names["loosely settling"] = names["settling"]
+    return "\n".join([
+        header("study", *names[columns]),
+        *(row(name, *cells(folder, columns)) for name, folder in studies.items()),
+    ])
+
+
+def cells(folder: Path, columns: str) -> list[str]:
+    """Return the cells of one study, which has one strategy."""
     with (folder / "runs.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    after = _numbers(rows, "loose_settle_time_s" if loose else "settle_time_s")
-    bound = _numbers(rows, "lower_bound_s" if beyond else "bound_s")
-    compared = after - bound if beyond else after / bound
-    if loose:
-        compared = np.full_like(after, np.nan)
-    error = _numbers(rows, "tail_error_p95" if loose else "final_error")
-    return table_row(
-        name, f"`{rows[0]['strategy']}`", f"{np.isfinite(after).sum()} of {len(rows)}",
-        _spread(after, ".2f"), _spread(compared, ".2f"),
-        f"{np.nanmedian(error):.1e} / {np.nanmax(error):.1e}",
-        f"{summary['timing']['solve_ms_max']:.0f}",
-    )
+        runs = list(csv.DictReader(file))
+
+    def numbers(name: str) -> Vector:
+        return np.array([float(run.get(name) or "nan") for run in runs])
+
+    loose = columns == "loosely settling"
+    after = numbers("loose_settle_time_s" if loose else "settle_time_s")
+    settled = f"{np.isfinite(after).sum()} of {len(runs)}"
+    if columns == "over best known":
+        return [settled, _spread(after / numbers("bound_s"), [50, 90, 99], ".3f")]
+    error = numbers("tail_error_p95" if loose else "final_error")
+    left = f"{np.nanmedian(error):.1e} / {np.nanmax(error):.1e}"
+    return [settled, _spread(after, [50, 99], ".2f"), left]
 
 
-def _numbers(rows: list[dict[str, str]], name: str) -> Vector:
-    return np.array([float(row.get(name) or "nan") for row in rows])
-
-
-def _spread(values: Vector, how: str) -> str:
+def _spread(values: Vector, shares: Sequence[float], how: str) -> str:
     known = values[np.isfinite(values)]
     if not known.size:
         return "-"
-    return " / ".join(format(v, how) for v in (*np.percentile(known, [50, 99]), known.max()))
+    return " / ".join(format(v, how) for v in (*np.percentile(known, shares), known.max()))
+
+
+def made(name: str, table: Table, out: Path) -> str:
+    """Return a declared table after running its studies, those that are complete excepted."""
+    folders = {}
+    for number, (study_name, arguments) in enumerate(table.studies.items(), 1):
+        folders[study_name] = folder = out / f"{name} {number}".replace(" ", "_")
+        bound = [] if table.columns == "over best known" else ["--no-bound"]
+        if study.main([*shlex.split(arguments), *bound, "--out", str(folder)]):
+            sys.exit(f"{name}, {study_name}: the study has failed")
+    return lines(folders, table.columns)
+
+
+def replaced(text: str, name: str, table: str) -> str:
+    """Return the text of a document with another table below the comment with its name."""
+    mark = f"<!-- table: {name} -->\n"
+    assert mark in text, f"the document has no {mark}"
+    return re.sub(re.escape(mark) + r"(\|.*\n)*", lambda _: f"{mark}{table}\n", text)
+
+
+def main() -> None:
+    """Print, and write, the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folders", type=Path, nargs="*", help="studies of one strategy each")
+    parser.add_argument("--out", type=Path, help="folder for the studies that are declared")
+    parser.add_argument("--only", choices=TABLES, nargs="+", default=list(TABLES))
+    parser.add_argument("--write", action="store_true", help="replace the document's tables")
+    given = parser.parse_args()
+    if given.folders:
+        print(lines({folder.name: folder for folder in given.folders}, "settling"))
+        return
+    if given.out is None:
+        parser.error("given neither folders nor --out")
+    for name in given.only:
+        table = made(name, TABLES[name], given.out)
+        print(f"{name}:\n{table}\n", flush=True)
+        if given.write:
+            text = _DOCUMENT.read_text(encoding="utf-8")
+            _DOCUMENT.write_text(replaced(text, name, table), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ def called(call: Callable[..., T], *arguments: Any) -> T:
     except BaseException as error:
         if is_outer:
             _called.discard(thread)
-        raise foreign_error(error)
+        raise foreign_error(error)  # noqa: B904 - often the same one
     return found
 
 

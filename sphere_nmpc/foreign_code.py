@@ -66,7 +66,8 @@ def foreign_error(error: BaseException) -> Exception:
 
 
 def _is_of_user() -> bool:
-    return signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, on_signal)
+    is_raised = signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, on_signal)
+    return is_raised and threading.current_thread() is threading.main_thread()
 
 
 def on_signal(number: int, frame: FrameType | None) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
-from sphere_nmpc.foreign_code import called, foreign_error
+from sphere_nmpc.foreign_code import foreign_error
 
 G = TypeVar("G")
 G_co = TypeVar("G_co", covariant=True)
@@ -202,18 +202,18 @@ class ChangeQueue(Generic[G, M]):
         given, outcome, possible = in_force.given, _Outcome(in_force), []
         for request in requests:
             try:
-                given = called(request.change, given)
-            except Exception as error:
-                outcome.refused.append((request, error))
+                given = request.change(given)
+            except BaseException as error:
+                outcome.refused.append((request, foreign_error(error)))
             else:
                 possible.append(request)
         if not possible:
             return outcome
         try:
-            outcome.made = called(self._make, given, in_force)
-        except Exception as error:
+            outcome.made = self._make(given, in_force)
+        except BaseException as error:
             if len(possible) == 1:
-                outcome.refused.append((possible[0], error))
+                outcome.refused.append((possible[0], foreign_error(error)))
                 return outcome
             for request in possible:
                 after = self._outcome(outcome.made, [request])

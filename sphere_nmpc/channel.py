@@ -17,6 +17,8 @@ import weakref
 from collections import deque
 from typing import IO, Any, NamedTuple, NoReturn
 
+from sphere_nmpc.foreign_code import called
+
 _HEADER = struct.Struct("!QQ")
 """Before each message: its length [bytes], and the number of shared memories that belong to it."""
 _READ_AT_ONCE = 1 << 18
@@ -154,7 +156,8 @@ class Channel:
         del self._read[:end]
         memories = [self._memories.popleft() for _ in range(number)]
         try:
-            return _Unpickler(content, memories).load()
+            # Modules are imported for it, whoever has written them.
+            return called(_Unpickler(content, memories).load)
         except Exception as error:
             raise ContentError(f"{type(error).__name__}: {error}") from error
 

@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_code import called
 from sphere_nmpc.foreign_text import printable_line
 
 
@@ -65,7 +66,7 @@ class EntryTable(dict[str, E]):
             raise InvalidParameterError(self._kind, name, " or ".join(self))
         path = self[name].path
         try:
-            found = _imported(path)
+            found = called(_imported, path)
         except Exception as error:  # of a module of somebody else
             cause = f"{type(error).__name__}: {printable_line(str(error))}"
             raise InvalidParameterError(

@@ -36,6 +36,10 @@ class InvalidInputError(InvalidValueError):
     """Rotor speeds that are not finite, or knots whose times do not increase."""
 
 
+class ForeignCodeError(SphereNmpcError):
+    """Code of another package has raised what is no error, such as SystemExit, or has no text."""
+
+
 class EndingError(SphereNmpcError):
     """Error of a node's own work after which the node cannot go on: it ends, with the reason."""
 

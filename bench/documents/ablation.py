@@ -200,7 +200,9 @@ def measured(
     processor time [s].
     """
 
-    def tuned(settings: ControllerSettings, robot: RobotParameters) -> TimeOptimalStrategy:
+    def tuned(
+        settings: ControllerSettings, robot: RobotParameters, worker: object = None
+    ) -> TimeOptimalStrategy:
         of_strategy = numbers if isinstance(numbers, TimeOptimalSettings) else None
         return TimeOptimalStrategy(settings, robot, of_strategy)
 

@@ -5,6 +5,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.foreign_code import called, foreign_error
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, GoalSequence
@@ -40,7 +42,13 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.native.library import library
-from sphere_nmpc.strategy.contract import SearchingStrategy, Situation, Strategy, make_strategy
+from sphere_nmpc.strategy.contract import (
+    SearchingStrategy,
+    Situation,
+    Strategy,
+    make_strategy,
+    plan_of,
+)
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 from sphere_nmpc.worker.contract import Worker
@@ -82,6 +90,8 @@ class Controller:
         robot = self._robot = within_torque(robot)
         self._worker = worker
         self._searching: SearchingStrategy | None = None
+        self._prepared: tuple[ControllerSettings, Strategy] | None = None
+        """A strategy that was made for other settings, which are not in force yet."""
         self._strategy = strategy or self._make_strategy()
         self._commands = Commands(robot)
         self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
@@ -251,19 +261,35 @@ class Controller:
         if self._searching is None:
             self._reset_strategy()
 
+    def prepare(self, settings: ControllerSettings) -> None:
+        """Make the strategy of settings that `change` is given next, where it is another one.
+
+        `InvalidParameterError` is raised if it cannot be made.
+        """
+        settings = settings.of(self._robot)
+        is_prepared = self._prepared is not None and self._prepared[0] == settings
+        if self._is_of_other_strategy(settings) and not is_prepared:
+            self._prepared = settings, make_strategy(settings, self._robot, self._worker)
+
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running.
 
         The plan is kept unless the strategy or the sample period changes, and so are the
-        estimates that the change does not concern.
+        estimates that the change does not concern. `InvalidParameterError` is raised, and nothing
+        changes, if there is another strategy and it cannot be made.
         """
-        before, settings = self._settings, settings.of(self._robot)
-        self._settings = settings
-        if (settings.strategy, settings.period) == (before.strategy, before.period):
-            self._call_strategy(lambda: self._strategy.change(settings))
-        else:
+        self.prepare(settings)
+        settings = settings.of(self._robot)
+        is_other, self._settings = self._is_of_other_strategy(settings), settings
+        if is_other:
             self._renew_strategy()
+        else:
+            self._call_strategy(lambda: self._strategy.change(settings))
         self._estimator.change(settings)
+
+    def _is_of_other_strategy(self, settings: ControllerSettings) -> bool:
+        in_force = self._settings
+        return (settings.strategy, settings.period) != (in_force.strategy, in_force.period)
 
     def observe(self, time: float, state: Vector) -> bool:
         """Take a measured state, shape (6,), of control time `time` [s]; False if it is outdated.
@@ -347,11 +373,23 @@ class Controller:
     @property
     def searches(self) -> bool:
         """Whether a plan is being searched for beside the loop; `is_due` tells when to use it."""
-        return self._searching is not None and self._searching.searches
+        try:
+            return self._searching is not None and self._searching.searches
+        except BaseException as error:
+            return self._ask_no_more(error)
 
     def is_due(self, now: float) -> bool:
         """Return whether there is a plan that begins at `now` [s] or before, to be decided on."""
-        return self._searching is not None and self._searching.is_due(now)
+        try:
+            return self._searching is not None and self._searching.is_due(now)
+        except BaseException as error:
+            return self._ask_no_more(error)
+
+    def _ask_no_more(self, error: BaseException) -> bool:
+        """Record an error of a strategy that searches, which counts as another one from now on."""
+        self._searching = None
+        self._record(foreign_error(error))
+        return False
 
     def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
         """Plan for the sampling instant `time` [s]; to be followed by `commit`.
@@ -498,11 +536,7 @@ class Controller:
             self._is_refused = refused is not None
             if self._is_refused and not was_refused:
                 self._reset_strategy()  # its plan leads on from where the stop does not
-            plan = refused or self._strategy.plan(situation)
-            if not np.isfinite(plan.states).all():
-                raise ArithmeticError("the predicted states are not finite")
-            if not isinstance(plan.hold, FirstOrderHold):
-                raise TypeError(f"plan: given {type(plan.hold).__name__}, expected a hold")
+            plan = refused or plan_of(self._strategy, situation, self._robot)
             plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
             self.plans += int(plan.motion not in (0, self._followed))
             self._followed = plan.motion
@@ -549,7 +583,7 @@ class Controller:
         """Call the strategy; where that fails, a new one takes its place, without what it kept."""
         self._planned = None
         try:
-            call()
+            called(call)
         except Exception as error:
             self._record(error)
             self._renew_strategy()
@@ -570,11 +604,13 @@ class Controller:
 
     def _make_strategy(self) -> Strategy:
         """Return a new strategy that searches beside the loop if it can, and there is a worker."""
-        strategy = make_strategy(self._settings, self._robot)
-        self._searching = None
-        if self._worker is not None and isinstance(strategy, SearchingStrategy):
-            strategy.search_beside(self._worker)
-            self._searching = strategy
+        prepared, self._prepared = self._prepared, None
+        if prepared is not None and prepared[0] == self._settings:
+            strategy = prepared[1]
+        else:
+            strategy = make_strategy(self._settings, self._robot, self._worker)
+        searches = self._worker is not None and called(isinstance, strategy, SearchingStrategy)
+        self._searching = cast(SearchingStrategy, strategy) if searches else None
         return strategy
 
 

@@ -17,7 +17,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import stop
+from sphere_nmpc.strategy.rest import come_to_rest, stop
 
 
 def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None:
@@ -31,9 +31,19 @@ def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None
 
 
 def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strategy: str) -> Plan:
-    """Return a plan of a strategy with its clearance; a stop in place of one without."""
-    moves = not plan.stops and bool(plan.hold.speeds.any())
-    if not moves or not math.isnan(plan.clearance):
+    """Return a plan of a strategy with its clearance; a stop in place of one without.
+
+    On a floor a stop is that of the loop as well, since none is certified.
+    """
+    if plan.stops:
+        if situation.floor.is_empty:
+            return plan
+        if plan.status is PlanStatus.SATURATED:
+            own = come_to_rest(situation, robot, "")
+        else:
+            own = stop(situation, robot, "")
+        return replace(plan, hold=own.hold, states=own.states)
+    if not plan.hold.speeds.any():
         return plan
     clearance = clearance_of(situation, plan.hold, Margin.KEPT)
     if not math.isnan(clearance):

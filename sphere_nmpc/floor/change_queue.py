@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
+from sphere_nmpc.foreign_code import foreign_error
+
 G = TypeVar("G")
 G_co = TypeVar("G_co", covariant=True)
 
@@ -137,18 +139,26 @@ class ChangeQueue(Generic[G, M]):
         self._waiting = {
             key: request for key, request in self._waiting.items() if request not in self._making
         }
-        self._job = Future()
+        job = self._job = Future()
         # Not of a pool, which the interpreter would wait for at its end.
-        threading.Thread(
-            target=self._run, args=(self._job, self.in_force, self._making), name="floor",
-            daemon=True,
-        ).start()
+        thread = threading.Thread(
+            target=self._run, args=(job, self.in_force, self._making), name="floor", daemon=True
+        )
+        try:
+            thread.start()
+        except Exception as error:  # the system has none left
+            job.set_exception(error)
 
     def _end(self) -> None:
         """Put in force what has been made, and refuse what has not."""
         job, requests = self._job, self._making
         self._job, self._making = None, []
         if job is None:
+            return
+        failure = job.exception()
+        if failure is not None:
+            for request in requests:
+                self._refused(request, foreign_error(failure))
             return
         outcome = job.result()
         for request, error in outcome.refused:
@@ -193,17 +203,17 @@ class ChangeQueue(Generic[G, M]):
         for request in requests:
             try:
                 given = request.change(given)
-            except Exception as error:
-                outcome.refused.append((request, error))
+            except BaseException as error:
+                outcome.refused.append((request, foreign_error(error)))
             else:
                 possible.append(request)
         if not possible:
             return outcome
         try:
             outcome.made = self._make(given, in_force)
-        except Exception as error:
+        except BaseException as error:
             if len(possible) == 1:
-                outcome.refused.append((possible[0], error))
+                outcome.refused.append((possible[0], foreign_error(error)))
                 return outcome
             for request in possible:
                 after = self._outcome(outcome.made, [request])

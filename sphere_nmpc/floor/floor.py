@@ -98,12 +98,17 @@ class Floor:
     @cached_property
     def fine(self) -> Grid:
         """The grid in cells that are small compared with the sphere."""
-        return finest(self.grid, self.radius)
+        grid = finest(self.grid, self.radius)
+        for one in (self.grid, grid):
+            one.occupied.flags.writeable = False  # strategies are given them
+        return grid
 
     @cached_property
     def corner_distances(self) -> NDArray[np.float32]:
         """Distances from the corners of all fine cells to what is occupied [m], (H + 1, W + 1)."""
-        return corner_distances(self.fine)
+        distances = corner_distances(self.fine)
+        distances.flags.writeable = False
+        return distances
 
     def distances(self, places: Vector) -> Vector:
         """Return lower bounds of the distances of places, shape (P, 2), to what is occupied [m].

@@ -32,12 +32,6 @@ GRAVITY = 9.81
 """Acceleration of free fall g [m/s^2]."""
 
 
-def _zeros(size: int) -> Vector:
-    zeros: Vector = np.zeros(size)
-    zeros.flags.writeable = False
-    return zeros
-
-
 @dataclass(frozen=True, eq=False)
 class Disturbance:
     """Slope of the floor and imbalance of the sphere: what changes the momentum.
@@ -50,8 +44,12 @@ class Disturbance:
         a = Mt g c / I1 of a centre of mass at c [rad/s^2; body frame].
     """
 
-    slope: Vector = field(default_factory=lambda: _zeros(2))
-    imbalance: Vector = field(default_factory=lambda: _zeros(3))
+    slope: Vector = field(default_factory=lambda: np.zeros(2))
+    imbalance: Vector = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        for array in (self.slope, self.imbalance):
+            array.flags.writeable = False  # strategies and plants are given the same arrays
 
     @classmethod
     def from_array(cls, torques: Vector) -> "Disturbance":

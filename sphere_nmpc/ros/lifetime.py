@@ -16,17 +16,20 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import FrameType
 
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 
 from sphere_nmpc.child import END_SIGNALS, NICENESS
 from sphere_nmpc.errors import EndingError, SphereNmpcError
+from sphere_nmpc.foreign_code import allow_calls, end_calls, is_called, on_signal
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.network import network_reach
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
 
+_PATIENCE = 1.0
+"""Wall time after a request to end for which a call of foreign code is waited for [s]."""
 _AFTER_FAILURE = 1e-3
 """Pause after work that failed [s], which may fail each time; shorter than a control tick."""
 _SWITCH_INTERVAL = 5e-4
@@ -66,10 +69,26 @@ def run(make_node: Callable[[], GuardedNode], args: Sequence[str] | None, about:
         how = "  --ros-args -p NAME:=VALUE ... --params-file FILE.yaml"
         print(f"{own[0]}: not understood; parameters are given as\n{how}", file=sys.stderr)
         return 2
+    earlier = threading.enumerate()
     try:
-        return _run_until_signal(make_node)
+        code = _run_until_signal(make_node)
     finally:
         rclpy.try_shutdown()
+    _leave_threads(earlier, code)
+    return code
+
+
+def _leave_threads(earlier: Sequence[threading.Thread], code: int) -> None:
+    """End the process by a code where threads of other packages run, which it would wait for."""
+    end = time.monotonic() + _PATIENCE
+    for thread in threading.enumerate():
+        if thread not in earlier and not thread.daemon:
+            thread.join(max(0.0, end - time.monotonic()))
+            if thread.is_alive():
+                print(f"thread {shown(thread.name)} of another package is left behind, given no "
+                      "end, expected one that is a daemon", file=sys.stderr, flush=True)
+                sys.stdout.flush()
+                os._exit(code)
 
 
 def _run_until_signal(make_node: Callable[[], GuardedNode]) -> int:
@@ -88,6 +107,7 @@ def _run_until_signal(make_node: Callable[[], GuardedNode]) -> int:
             # The events executor has no guard conditions; it returns after `LONGEST_WAIT`.
             stop.wake = node.create_guard_condition(lambda: None).trigger
         executor.add_node(node)
+        stop.finish = node.finish
         node.get_logger().info(network_reach())
         try:
             priority = 0
@@ -111,9 +131,7 @@ def _run_until_signal(make_node: Callable[[], GuardedNode]) -> int:
                         time.sleep(_AFTER_FAILURE)
                     collect_if_due()
         finally:
-            # Nothing may interrupt the final messages: launch's second SIGINT arrives about now.
-            for number in END_SIGNALS:
-                signal.signal(number, signal.SIG_IGN)
+            # Launch's second SIGINT arrives about now; no signal interrupts the final messages.
             node.finish()
             executor.shutdown()
             node.destroy_node()
@@ -127,6 +145,9 @@ class StopRequest:
     that waits inside the middleware does not reach. The number of the signal is however written
     to a file descriptor immediately, and a thread reads it there. A SIGHUP that is ignored from
     the start, as by ``nohup``, stays ignored.
+
+    That thread also ends calls of foreign code that keep the node from ending: they are
+    interrupted, and one that goes on nevertheless is left behind, with the final messages sent.
     """
 
     def __init__(self) -> None:
@@ -134,20 +155,27 @@ class StopRequest:
         """True from the first signal on."""
         self.wake: Callable[[], object] | None = None
         """Wakes the executor; called when a signal arrives."""
+        self.finish: Callable[[], object] | None = None
+        """Sends the final messages, where a call of foreign code does not end."""
+        self._ended = threading.Event()
 
     def __enter__(self) -> "StopRequest":
+        allow_calls()
         self._inlet, outlet = os.pipe()
         self._outlet = outlet
         os.set_blocking(outlet, False)
         self._earlier_fd = signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
         for number in END_SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, _do_nothing)
+                signal.signal(number, on_signal)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
+        for number in END_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        self._ended.set()
         signal.set_wakeup_fd(self._earlier_fd)
         os.close(self._outlet)  # ends the reader
         self._reader.join()
@@ -160,7 +188,22 @@ class StopRequest:
             self.requested = True
             if self.wake is not None:
                 self.wake()
-                return
+            for end in (end_calls, self._leave):
+                while not self._ended.wait(_PATIENCE):
+                    if is_called():
+                        end()
+                        break
+            return
+
+    def _leave(self) -> None:
+        """Send the final messages, and end the process with its main thread in foreign code."""
+        log = rclpy.logging.get_logger("sphere_nmpc")
+        log.fatal("code of another package does not return, and is left behind")
+        try:
+            if self.finish is not None:
+                self.finish()
+        finally:
+            os._exit(1)
 
 
 def _make_executor(by_events: bool) -> Executor:
@@ -234,7 +277,3 @@ def lower_priority() -> None:
     with contextlib.suppress(OSError):
         if os.getsid(0) == os.getpid():
             _OF_SESSION.write_text(str(NICENESS))
-
-
-def _do_nothing(number: int, frame: FrameType | None) -> None:
-    """Replace the default handler; the reader acts on the signal."""

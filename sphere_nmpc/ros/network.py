@@ -24,6 +24,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable, Mapping, MutableMapping
+from mmap import PAGESIZE
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -57,6 +58,8 @@ _REACH = {
     "OFF": "from this process only",
     "SYSTEM_DEFAULT": "as the middleware is configured",
 }
+_SHARED_MEMORY, _TRACING = Path("/dev/shm"), "lttng-ust-wait"
+"""Folder of shared memory on Linux, and the beginning of the names of the files of LTTng in it."""
 _POLL = 0.05
 """Interval between two looks at the interfaces [s]."""
 _INTERFACES = Path("/sys/class/net")
@@ -67,7 +70,7 @@ _GET_ADDRESS = 0x8915
 
 
 class RosEnvironmentError(InvalidValueError):
-    """Environment variable with a value that ROS cannot use."""
+    """Environment variable, or a folder of the system, that ROS cannot use as it is."""
 
 
 def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> list[str]:
@@ -126,6 +129,27 @@ def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
     installed.discard("rmw_implementation")  # only selects one of the others
     if installed and given not in installed:
         raise RosEnvironmentError(_MIDDLEWARE, given, " or ".join(sorted(installed)))
+
+
+def check_shared_memory(folder: Path = _SHARED_MEMORY) -> None:
+    """Raise `RosEnvironmentError` if there is no room for the two pages that ROS's tracing shares.
+
+    Call it before rclpy is imported, which would end the process by a bus error.
+    """
+    try:
+        found = os.statvfs(folder)
+        is_full = found.f_blocks > 0 and found.f_bavail * found.f_frsize < 2 * PAGESIZE
+        pages = f"{_TRACING}-?", f"{_TRACING}-*-{os.getuid()}"
+        if not is_full or all(
+            any(file.stat().st_blocks for file in folder.glob(page)) for page in pages
+        ):
+            return
+    except OSError:
+        return  # without it there is no tracing
+    raise RosEnvironmentError(
+        str(folder), "a full file system", f"{2 * PAGESIZE} bytes of room for ROS: remove files "
+        "there, or enlarge it (for a container --shm-size)"
+    )
 
 
 def unwritable_log_folder(environment: Mapping[str, str] = os.environ) -> Path | None:

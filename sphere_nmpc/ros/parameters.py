@@ -76,21 +76,16 @@ class DeclaredSettings(Generic[S]):
         names = {self.fields[name] for name in values}
         return self._prepare(partial(self.changed, values), names, wait)
 
-    @property
-    def has_to_prepare(self) -> bool:
-        """Whether a change needs something that has to be made."""
-        return self._prepare is not None
+    def check(self, values: dict[str, Any]) -> Callable[[], object]:
+        """Return what puts in force what values need, by full name; raise an error to refuse them.
 
-    def check(self, values: dict[str, Any]) -> None:
-        """Raise an error for values, by full name, that cannot be in force.
-
-        What was prepared for them is, from then on.
+        It is what was prepared for them.
         """
         made = self.prepared or self.prepare(values, wait=True)
-        if made is None:
-            self.changed(values)
-        else:
-            made.result()()
+        if made is not None:
+            return made.result()
+        self.changed(values)
+        return lambda: None
 
     def apply(self, values: dict[str, Any]) -> None:
         """Take over values that were accepted."""
@@ -187,9 +182,9 @@ class Parameters:
         """Check values; rclpy calls this after what else may refuse them."""
         found = self._by_owner(parameters)
         try:
-            # What is put in force by its check comes last, as it cannot be taken back.
-            for owner in sorted(found, key=lambda owner: owner.has_to_prepare):
-                owner.check(found[owner])
+            # Put in force when all are checked, as that cannot be taken back.
+            for put_in_force in [owner.check(values) for owner, values in found.items()]:
+                put_in_force()
         except Exception as error:  # also of memory and disk, for what has to be made
             return SetParametersResult(successful=False, reason=reason_of(error))
         return SetParametersResult(successful=True)

@@ -3,25 +3,50 @@
 """Contract between a strategy and the control loop, and strategies by name."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from numbers import Integral, Real
+from typing import Any, Protocol, runtime_checkable
 
-from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError, reason_of
+import numpy as np
+
+from sphere_nmpc.conditions import Kind
+from sphere_nmpc.errors import (
+    ForeignCodeError,
+    InvalidParameterError,
+    SphereNmpcError,
+    reason_of,
+)
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.foreign_code import called
+from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.goal import STANDING, Goal, Orientation, moved
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
-from sphere_nmpc.model.state import MOMENTUM, Vector
+from sphere_nmpc.model.state import MOMENTUM, STATE_SIZE, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
 
 SMALL_MOMENTUM = 1.0
 """Momentum [rad/s] that is small. A sphere with less rolls steadily, rests and stops on its path
 as one without, no rotor has to be ramped to hold it before the sphere counts as resting, and a
 plan for a momentum that differs by less can still be followed."""
+
+MOST_KNOTS = 3000
+"""Knots that a plan may have: those of this package have some hundred. Up to a command so many
+take 15 ms, 10 000 of them 80 ms."""
+_DIFFERENT = 1e-3
+"""Difference from the speeds in force [rad/s] from which on a plan does not begin with them."""
+_FIELDS: dict[str, Any] = dict.fromkeys(
+    ("error", "remaining_time", "arrival", "cost", "kkt_residual", "solve_time", "beyond", "until",
+     "tolerance"), Real,
+) | dict.fromkeys(("turns", "work", "iterations", "motion"), Integral) | {
+    "status": PlanStatus, "goal": Goal, "message": str, "given_up": str,
+    "unreachable": Kind | None, "final": np.ndarray | None,
+}
+"""Types of the fields of a plan, of other packages as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +105,10 @@ class Situation:
     floor: Floor = Floor.EMPTY
     place_deviation: float = 0.0
     in_force: FirstOrderHold | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.state, self.goal, self.input_in_force, self.goal_rate):
+            array.flags.writeable = False  # the estimate and the goal in force are the same arrays
 
     @property
     def radius(self) -> float:
@@ -159,19 +188,71 @@ class SearchingStrategy(Protocol):
         """Return whether a search has ended whose plan begins at `now` [s] or before."""
 
 
-def make_strategy(settings: ControllerSettings, robot: RobotParameters) -> Strategy:
+def make_strategy(
+    settings: ControllerSettings, robot: RobotParameters, worker: Worker | None = None
+) -> Strategy:
     """Return a new strategy of the kind that is named in `settings`, which has checked the name.
 
-    `robot` has the parameters of the robot and the limits of its drives. `InvalidParameterError`
-    is raised if the strategy cannot be loaded or made.
+    `robot` has the parameters of the robot and the limits of its drives; one that can search
+    beside the loop does so by `worker`. `InvalidParameterError` is raised if the strategy cannot
+    be loaded or made.
     """
     kind = STRATEGIES.load(settings.strategy)
-    try:
+
+    def make() -> Strategy:
         strategy: Strategy = kind(settings, robot)
-    except (MemoryError, SphereNmpcError):
-        raise
+        if worker is not None and isinstance(strategy, SearchingStrategy):
+            strategy.search_beside(worker)
+        return strategy
+
+    try:
+        return called(make)
     except Exception as error:
+        is_own = isinstance(error, MemoryError | SphereNmpcError)
+        if is_own and not isinstance(error, ForeignCodeError):
+            raise
         raise InvalidParameterError(
             "strategy", settings.strategy, f"one that can be made ({reason_of(error)})"
         ) from error
-    return strategy
+
+
+def plan_of(strategy: Strategy, situation: Situation, robot: RobotParameters) -> Plan:
+    """Return the plan of a strategy, whatever that is, as the control loop can follow it.
+
+    It begins at the present with the speeds in force and keeps the limits of the drives, its
+    arrays are nobody else's, and its clearance is that of nobody. An error is raised where the
+    strategy raises one, and for what is no plan.
+    """
+    return called(_taken, strategy, situation, robot)
+
+
+def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> Plan:
+    plan = strategy.plan(situation)
+    # Classes derived from these could have other methods.
+    for given, kind in (plan, Plan), (plan.hold, FirstOrderHold):
+        if type(given) is not kind:
+            raise TypeError(f"plan: given {type(given).__name__}, expected {kind.__name__}")
+    for name, expected in _FIELDS.items():
+        value = getattr(plan, name)
+        if not isinstance(value, expected):
+            raise TypeError(f"plan: given the {name} {shown(value)}, expected another type")
+    hold, states = plan.hold, np.array(plan.states, dtype=float)
+    knots, rows = hold.times.size, len(states) if states.ndim else -1
+    if knots > MOST_KNOTS:
+        raise ValueError(f"plan: given {knots} knots, expected at most {MOST_KNOTS}")
+    if states.shape != (rows, STATE_SIZE) or rows > knots:
+        raise ValueError(
+            f"plan: given states of the shape {states.shape}, expected at most ({knots}, "
+            f"{STATE_SIZE})"
+        )
+    if not np.isfinite(states).all():
+        raise ArithmeticError("the predicted states are not finite")
+    states.flags.writeable = False
+    time, speeds = situation.time, situation.input_in_force
+    if abs(hold.start - time) > SHORTEST or np.abs(hold.speeds[0] - speeds).max() > _DIFFERENT:
+        hold = hold.starting_at(time, speeds, SHORTEST)
+    return replace(
+        plan, states=states, clearance=math.nan,
+        hold=hold.limited(robot.max_rotor_speed, robot.max_rotor_acceleration),
+        message=printable_line(plan.message), given_up=printable_line(plan.given_up),
+    )

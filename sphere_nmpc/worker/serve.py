@@ -15,6 +15,7 @@ from typing import NoReturn
 
 from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
 from sphere_nmpc.child import END_SIGNALS, NICENESS
+from sphere_nmpc.foreign_code import called
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.worker.contract import Store
 
@@ -32,7 +33,7 @@ def serve(channel: Channel) -> None:
             except ContentError as error:  # as a module that it needs cannot be imported
                 task = partial(_failed, error)
             try:
-                answer = encoded((task(store), ""))
+                answer = encoded((called(task, store), ""))
             except Exception as raised:
                 # One failed task must not prevent the next ones.
                 answer = encoded((None, f"{type(raised).__name__}: {raised}"))

@@ -9,7 +9,6 @@ traceback of an error.
 """
 
 import logging
-import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -78,10 +77,11 @@ def _run(argv: Sequence[str], signals: Signals) -> int:
         return 2
 
     def call() -> int:
-        if os.environ.get("RMW_IMPLEMENTATION") and verb not in _WITHOUT_ROS:
-            from sphere_nmpc.ros.network import check_middleware
+        if verb not in _WITHOUT_ROS:
+            from sphere_nmpc.ros.network import check_middleware, check_shared_memory
 
-            check_middleware()  # before rclpy is loaded, which ends the process with a wrong one
+            check_middleware()  # before rclpy is loaded, which ends the process otherwise
+            check_shared_memory()
         module = import_module(VERBS[verb][0])
         signals.interrupt()
         code: int = module.main(rest)

@@ -11,6 +11,7 @@ all these may be absent or empty. Other columns are copied to the results.
 import csv
 import math
 import stat
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
@@ -28,7 +29,10 @@ STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
 SEED_COLUMN = "seed"
 
 LARGEST_FILE = 2**28
-"""Largest file that is read [bytes]; about a million rows."""
+"""Largest file that is read [bytes]."""
+MOST_FIELDS = 12_000_000
+"""Fields of all rows that are read: a million rows of the columns that have to be there, which
+take 1.5 GB of memory."""
 LARGEST_SEED = 2**31 - 1
 """Largest seed."""
 STRONGEST_PUSH = 1e3
@@ -109,8 +113,13 @@ def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
             raise ScenarioFileError(
                 path, f"{len(fields)} fields", f"{len(header)}, as in the header", line
             )
-        yield _row(path, line, dict(zip(header, fields, strict=True)), number)
         number += 1
+        if number * len(header) > MOST_FIELDS:
+            raise ScenarioFileError(
+                path, f"more than {MOST_FIELDS} fields",
+                f"at most {MOST_FIELDS // len(header)} rows of {len(header)} columns", line,
+            )
+        yield _row(path, line, dict(zip(header, fields, strict=True)), number - 1)
     if header is None:
         raise ScenarioFileError(path, "an empty file", f"a header {','.join(STATE_COLUMNS)}")
 
@@ -121,8 +130,8 @@ def _header(path: Path, line: int, names: list[str]) -> list[str]:
             raise ScenarioFileError(
                 path, f"the columns {shown(','.join(names))}", "a column of this name", line, name
             )
-    for name in names:
-        if names.count(name) > 1:
+    for name, times in Counter(names).items():
+        if times > 1:
             raise ScenarioFileError(path, "a name twice", "each column once", line, name)
     return names
 

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import select
+import signal
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -249,6 +250,8 @@ async def _find_scheduler(address: str) -> None:
 
 def main(argv: Sequence[str]) -> int:
     """Make the calls of the parent, given the descriptor of the channel, until it is closed."""
+    # Nobody interrupts it but its parent, by a signal that ends it at once.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     limit_library_threads()
     # Warnings come once, from the parent.
     _log.setLevel(logging.ERROR)

@@ -146,6 +146,11 @@ _ALL = (
     _solver("not_finite", "nan", named_by=_FAILED),
     _solver("wild", "wild"),
     _solver("nothing", "nothing", named_by=_FAILED),
+    _solver("exits", "exit", named_by=_FAILED),
+    _solver("interrupts", "interrupt", named_by=_FAILED),
+    _solver("writes", "write", named_by=_FAILED),
+    _solver("knots", "knots", named_by=_FAILED),
+    _solver("reset_exits", "reset"),
     _solver("late", "late", named_by=("missed ticks rose", "longer than the control period")),
     # Without `named_by`: often each tick is still in time, and there is nothing to report.
     Fault("cpu_starved", "cpu", actions.throttle, {"share": 0.1}, quick=True),
@@ -171,7 +176,7 @@ HOSTILE = tuple(
     Fault(action.__name__, "hostile", action, goal_again=True, continuous=False)
     for action in (
         tries.malformed, tries.extremes, tries.parameters, tries.services, tries.clock_jump,
-        tries.ended,
+        tries.ended, tries.strategies,
     )
 ) + tuple(
     Fault(action.__name__, "floor", action, duration=12.0, goal_again=True)

@@ -11,10 +11,12 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 from actions import Action, every, source
+from bad_strategy import FOREIGN
 from hostile import TEXTS, damaged, extreme, parameter_value
 from node_session import Session, SessionError
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool
 
@@ -111,6 +113,20 @@ def services(session: Session) -> Action:
             request.data = rng.random() < 0.5
         session.ask(name, request)
         return period
+
+    with session.restored():
+        yield every(0.0, ask)
+
+
+def strategies(session: Session) -> Action:
+    """Strategies of other packages, each of which fails in a way of its own, and what is usual."""
+    rng, service = source(session), "controller/set_parameters"
+    names = [*(f"foreign_{way}" for way in FOREIGN), session.settings.strategy]
+
+    def ask() -> float:
+        wanted = Parameter("strategy", value=rng.choice(names)).to_parameter_msg()
+        session.ask(service, session.services[service].Request(parameters=[wanted]))
+        return rng.choice((0.1, 0.5, 1.0))
 
     with session.restored():
         yield every(0.0, ask)

@@ -4,6 +4,7 @@
 
 import json
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,6 +175,28 @@ def test_change_to_a_strategy_that_cannot_be_loaded_leaves_the_one_in_force(
     result = controller.set_parameters([Parameter("strategy", value="lost")])[0]
     assert not result.successful and "No module named 'nowhere'" in result.reason
     assert controller.get_parameter("strategy").value == "time_optimal"
+
+
+class Unmakeable:
+    """Strategy that ends the process where it is made."""
+
+    def __init__(self, *arguments: object) -> None:
+        sys.exit(3)
+
+    def plan(self) -> None: ...
+    def change(self) -> None: ...
+    def reset(self) -> None: ...
+
+
+def test_change_to_a_strategy_that_cannot_be_made_leaves_the_one_in_force(
+    controller, monkeypatch
+) -> None:
+    monkeypatch.setitem(STRATEGIES, "unmakeable", StrategyEntry(f"{__name__}:Unmakeable"))
+    result = controller.set_parameters([Parameter("strategy", value="unmakeable")])[0]
+    assert not result.successful
+    assert result.reason.endswith("expected one that can be made (SystemExit '3')")
+    assert controller.get_parameter("strategy").value == "time_optimal"
+    assert controller.controller.failures == 0
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from sphere_nmpc.child import Child, python_command
 from sphere_nmpc.ros.cdr import hold_and_stamp
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments
@@ -112,3 +113,73 @@ assert policies() == {os.SCHED_OTHER if allowed else usual}, policies()
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="policies are Linux' own")
 def test_priority_is_that_of_all_threads_or_of_none() -> None:
     subprocess.run([sys.executable, "-c", SCHEDULING], check=True)
+
+
+FOREIGN = """
+import sys, threading, time
+from sphere_nmpc.settings import STRATEGIES, StrategyEntry
+from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
+
+class Foreign(TimeOptimalStrategy):
+    def __init__(self, *given):
+        super().__init__(*given)
+        if "thread" in sys.argv:
+            threading.Thread(target=time.sleep, args=(3600.0,), name="own").start()
+
+    def plan(self, situation):
+        if "thread" in sys.argv or abs(situation.input_in_force).max() < 5.0:
+            return super().plan(situation)
+        while True:
+            print("planning", flush=True)
+            try:
+                time.sleep(3600.0) if "sleep" in sys.argv else sum(range(1000))
+            except BaseException:
+                if "swallow" not in sys.argv:
+                    raise
+
+STRATEGIES["foreign"] = StrategyEntry("__main__:Foreign")
+from sphere_nmpc.ros.controller.node import main
+sys.exit(main(["--ros-args", "-p", "strategy:=foreign"]))
+"""
+"""Controller node with a strategy of another package, which does not return while rotors turn."""
+
+
+def duration_of(trajectory: JointTrajectory) -> float:
+    """Return how long a command takes [s]: one to rest a fraction of a second, others 3 s."""
+    hold, _ = hold_and_stamp(serialize_message(trajectory), 0)
+    return hold.end - hold.start
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("way", "code", "words"),
+    [
+        (["sleep"], 0, "solve failed: ForeignCodeError: Interruption"),
+        (["busy"], 0, "solve failed: ForeignCodeError: Interruption"),
+        (["sleep", "swallow"], 1, "code of another package does not return, and is left behind"),
+        (["thread"], 0, "thread 'own' of another package is left behind"),
+    ],
+    ids=["sleeps", "computes", "swallows", "thread"],
+)
+def test_node_with_a_strategy_that_does_not_return_ends_by_a_signal(
+    graph, tmp_path, way, code, words, number
+) -> None:
+    trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
+    node = Child(python_command(FOREIGN, *way), log=tmp_path / "log").start()
+    try:
+        goals = graph.publisher(PoseStamped, "goal_pose")
+        poses = graph.publisher(PoseStamped, "pose")
+
+        def is_planning() -> bool:
+            poses.publish(pose_to_ros(CASE.start, time.time_ns(), 0.3))
+            goals.publish(pose_to_ros(CASE.goal, 0, 0.3))
+            return trajectories and ("goal: " if way == ["thread"] else "planning") in node.output
+
+        graph.until(is_planning)
+        node.send(number)
+        graph.until(lambda: node.code is not None)
+        assert node.code == code, node.output
+        graph.until(lambda: duration_of(trajectories[-1]) < 1.0)
+    finally:
+        node.kill()
+    assert words in node.output and "Traceback" not in node.output

@@ -26,6 +26,7 @@ from sphere_nmpc.ros.network import (
     avoid_shared_memory,
     check_environment,
     check_middleware,
+    check_shared_memory,
     network_addresses,
     network_reach,
     reaches_other_machines,
@@ -78,6 +79,29 @@ def test_middleware_that_is_not_installed_is_refused() -> None:
         check_middleware({"RMW_IMPLEMENTATION": "nonesuch"})
     for installed in ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, {}):
         check_middleware(installed)
+
+
+@linux
+def test_full_shared_memory_is_refused_unless_the_pages_of_ros_are_there(
+    tmp_path, monkeypatch
+) -> None:
+    check_shared_memory(tmp_path)
+    full = os.statvfs_result((4096, 4096, 16, 0, 0, 0, 0, 0, 0, 255))
+    monkeypatch.setattr(os, "statvfs", lambda folder: full)
+    words = f"{tmp_path}: given 'a full file system', expected .* bytes of room"
+    pages = [tmp_path / name for name in ("lttng-ust-wait-6", f"lttng-ust-wait-6-{os.getuid()}")]
+    for page in pages:
+        with pytest.raises(RosEnvironmentError, match=words):
+            check_shared_memory(tmp_path)
+        page.touch()  # as a process leaves it that has found no room
+    with pytest.raises(RosEnvironmentError, match=words):
+        check_shared_memory(tmp_path)
+    for page in pages:
+        with page.open("wb") as file:
+            file.write(bytes(4096))
+            file.flush()
+            os.fsync(file.fileno())  # some file systems allocate late
+    check_shared_memory(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ from sphere_nmpc.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.slow
 
+interrupt = partial(signal.default_int_handler, signal.SIGINT)
+"""Task that raises a KeyboardInterrupt."""
 keep = partial(methodcaller, "setdefault")
 """Task that keeps a value by a name in the store, and returns the one that is kept."""
 
@@ -62,6 +64,14 @@ def test_task_that_raises_is_told_and_the_next_one_is_done(worker) -> None:
     assert worker.complete(next_one) == 0
     assert "absent" in failing.error and not failing.ready
     assert worker.faults == [failing.error]
+
+
+def test_task_that_would_end_the_process_is_told_and_the_process_goes_on(worker) -> None:
+    pid = worker.pid
+    ending, interrupting = worker.submit(sys.exit), worker.submit(interrupt)
+    assert worker.complete(worker.submit(len)) == 0
+    assert "SystemExit" in ending.error and "KeyboardInterrupt" in interrupting.error
+    assert worker.pid == pid and worker.faults == [ending.error, interrupting.error]
 
 
 class Made:

@@ -38,8 +38,10 @@ FLOORS = {
         ("solver", "settings"),
         ("model", "worker"),
         ("quantity", "fault_log", "child", "foreign_file", "entry_table"),
+        ("channel",),
+        ("foreign_code",),
         ("errors", "library_threads", "conditions"),
-        ("foreign_text", "channel", "own_folder"),
+        ("foreign_text", "own_folder"),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

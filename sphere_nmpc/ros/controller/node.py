@@ -11,7 +11,8 @@ services    ~/enable, ~/cancel
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
@@ -24,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.schedule import LockstepSchedule, PlanRequest, Schedule, TimedPose
-from sphere_nmpc.errors import InvalidParameterError, InvalidValueError
+from sphere_nmpc.errors import InvalidValueError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.goal import GoalSequence
@@ -68,7 +69,7 @@ class ControllerNode(ClockedNode):
         declare = self.parameters.declare
         robot = declare(RobotParameters(), "robot").settings
         settings = self._settings = declare(
-            ControllerNodeSettings().of(robot), on_change=self._change
+            ControllerNodeSettings().of(robot), on_change=self._change, prepare=self._prepare
         ).settings
         self._period = settings.control_period
         self._scheduling = declare(SchedulingSettings())
@@ -339,14 +340,23 @@ class ControllerNode(ClockedNode):
         if self._schedule.timer_period != period:
             self._set_timer()
 
+    def _prepare(
+        self, settings: Callable[[], ControllerNodeSettings], names: set[str], is_awaited: bool
+    ) -> Future[Callable[[], object]]:
+        """Make the strategy of settings that are to be set, where it is another one."""
+        made: Future[Callable[[], object]] = Future()
+        try:
+            self.controller.prepare(settings())
+        except Exception as error:
+            made.set_exception(error)
+        else:
+            made.set_result(lambda: None)
+        return made
+
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse a strategy that cannot be loaded, or that the schedule cannot change to."""
+        """Refuse a strategy that the schedule cannot change to."""
         for name in (p.value for p in parameters if p.name == "strategy"):
             if name in STRATEGIES:  # another name is refused by its declaration
-                try:
-                    STRATEGIES.load(name)
-                except InvalidParameterError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
                 reason = self._schedule.refusal(replace(self._settings, strategy=name))
                 if reason is not None:
                     return SetParametersResult(successful=False, reason=reason)

@@ -5,9 +5,11 @@
 Its members are the fields of the problems, the settings and the solution, in this order; those of
 the other problem stay zero. Each is made of words of eight bytes, so the structure is a row of
 doubles in which integers and pointers are read through an integer view of the same bytes. The C
-declaration is generated with its check sum: a binary of another layout is not used.
+declaration is generated with a check sum of it and of the arguments of all functions: a binary of
+another layout is not used.
 """
 
+import ctypes
 import zlib
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, get_type_hints
@@ -23,6 +25,24 @@ from sphere_nmpc.solver.problem import (
 
 STATUSES = tuple(SolveStatus)
 """Statuses by the number that the compiled solver writes."""
+
+_ADDRESS, _COUNT, _NUMBER = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+_KINDS = {_ADDRESS: "address", _COUNT: "count", _NUMBER: "number", None: "nothing"}
+FUNCTIONS: dict[str, tuple[Any, ...]] = {
+    "solve_least_squares": (None, _ADDRESS),
+    "solve_minimum_time": (None, _ADDRESS),
+    "hold_roll_out": (None, _COUNT, _NUMBER, *[_ADDRESS] * 5),
+    "hold_propagate": (None, _COUNT, _NUMBER, *[_ADDRESS] * 6),
+    "hold_half_motions": (None, _COUNT, _COUNT, *[_NUMBER] * 3, *[_ADDRESS] * 6),
+    "hold_workspace": (_COUNT, _COUNT),
+    "hold_meet": (_COUNT, *[_COUNT] * 4, *[_NUMBER] * 3, *[_ADDRESS] * 10),
+    "hold_way": (None, *[_COUNT] * 3, *[_ADDRESS] * 5),
+    "hold_clearance": (
+        _NUMBER, _COUNT, *[_ADDRESS] * 6, _COUNT, _COUNT, _ADDRESS, *[_NUMBER] * 4, _ADDRESS,
+        _COUNT,
+    ),
+}
+"""Functions of the compiled solver: types of the result and of the arguments."""
 
 
 @dataclass
@@ -76,8 +96,11 @@ def problem_declaration() -> str:
 
 
 def check_sum() -> int:
-    """Return a number that differs for another layout; the binary exports its own."""
-    return zlib.crc32(_declarations().encode())
+    """Return a number that differs for another interface; the binary exports its own."""
+    functions = (
+        " ".join((name, *(_KINDS[kind] for kind in kinds))) for name, kinds in FUNCTIONS.items()
+    )
+    return zlib.crc32("\n".join((_declarations(), *functions)).encode())
 
 
 def _declarations() -> str:

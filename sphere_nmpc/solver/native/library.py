@@ -9,6 +9,7 @@ times faster than assigning to the members of a `ctypes.Structure`.
 import ctypes
 import logging
 import os
+import struct
 from dataclasses import fields
 from functools import cache
 from importlib.util import find_spec
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.native.layout import MEMBERS, SIZE, STATUSES, check_sum
+from sphere_nmpc.solver.native.layout import FUNCTIONS, MEMBERS, SIZE, STATUSES, check_sum
 from sphere_nmpc.solver.problem import (
     LeastSquaresProblem,
     MinimumTimeProblem,
@@ -38,6 +39,9 @@ _SOLVERS = {
     LeastSquaresProblem: "solve_least_squares", MinimumTimeProblem: "solve_minimum_time",
 }
 """Function of the compiled solver for each problem."""
+_ELF = struct.Struct("<40xQ10xHH2x")
+"""Header of a library of Linux on a machine of 64 bits: where its last part, the table of its
+sections, begins, the length of a row of it, and the number of rows."""
 
 _log = logging.getLogger("sphere_nmpc")
 
@@ -71,32 +75,36 @@ def library() -> ctypes.CDLL | None:
 def _loaded() -> ctypes.CDLL:
     if os.environ.get(VARIABLE) == "plain":
         raise OSError(f"{VARIABLE}=plain")
-    solver = ctypes.CDLL(str(FOLDER / "solver.so"))
-    solver.hold_level.restype = ctypes.c_char_p
-    # The same for the instruction set of this processor.
-    fitting = FOLDER / f"solver{solver.hold_level().decode()}.so"
-    if fitting.exists():
-        solver = ctypes.CDLL(str(fitting))
-    if ctypes.c_int64.in_dll(solver, "hold_layout").value != check_sum():
-        raise OSError(f"{fitting} is of another version of the package")
-    address, count, number = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-    for name, result, arguments in (
-        ("solve_least_squares", None, [address]),
-        ("solve_minimum_time", None, [address]),
-        ("hold_roll_out", None, [count, number, *[address] * 5]),
-        ("hold_propagate", None, [count, number, *[address] * 6]),
-        ("hold_half_motions", None, [count, count, *[number] * 3, *[address] * 6]),
-        ("hold_workspace", count, [count]),
-        ("hold_meet", count, [*[count] * 4, *[number] * 3, *[address] * 10]),
-        ("hold_way", None, [*[count] * 3, *[address] * 5]),
-        (
-            "hold_clearance", number,
-            [count, *[address] * 6, count, count, address, *[number] * 4, address, count],
-        ),
-    ):
-        function = getattr(solver, name)
-        function.argtypes, function.restype = arguments, result
+    solver = _opened(FOLDER / "solver.so")
+    try:
+        solver.hold_level.restype = ctypes.c_char_p
+        # The same for the instruction set of this processor.
+        fitting = FOLDER / f"solver{solver.hold_level().decode()}.so"
+        if fitting.exists():
+            solver = _opened(fitting)
+        is_current = ctypes.c_int64.in_dll(solver, "hold_layout").value == check_sum()
+        if is_current:
+            for name, (result, *arguments) in FUNCTIONS.items():
+                function = getattr(solver, name)
+                function.argtypes, function.restype = arguments, result
+    except (AttributeError, ValueError):  # a name that it does not have
+        is_current = False
+    if not is_current:
+        raise OSError(f"{solver._name} is of another version of the package")
     return solver
+
+
+def _opened(path: Path) -> ctypes.CDLL:
+    """Open a library; where the end of it is missing, its use would end the process."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_ELF.size)
+    if header[:4] == b"\x7fELF" and len(header) == _ELF.size:
+        begin, length, number = _ELF.unpack(header)
+        expected = begin + length * number
+        if size < expected:
+            raise OSError(f"{path} is cut off, given {size} bytes, expected {expected}")
+    return ctypes.CDLL(str(path))
 
 
 class Slot:

@@ -36,7 +36,7 @@ from sphere_nmpc.model.state import (
 )
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import is_at_rest, is_saturated
-from sphere_nmpc.strategy.clearance import Margin, clearance_of
+from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum, stop
@@ -164,18 +164,15 @@ class Following:
             if plan.error <= wanted or time.perf_counter() > deadline:
                 break
             hold = plan.hold
-        clearance = clearance_of(situation, plan.hold, Margin.KEPT)
-        if math.isnan(clearance):
+        if not is_clear(situation, plan.hold, Margin.KEPT):
             # What remains of a plan that kept clear may still do so as it is.
             plan = rolled_out(replace(before, goal=goal), situation, rest)
-            clearance = clearance_of(situation, plan.hold, Margin.KEPT)
-            if math.isnan(clearance):
+            if not is_clear(situation, plan.hold, Margin.KEPT):
                 return None
         reaches = plan.error <= max(dead_band, settings.leaving_error)
         plan = replace(
             plan, status=PlanStatus.SOLVED if reaches else PlanStatus.BEST_SO_FAR,
             remaining_time=before.remaining_time, final=before.final, motion=before.motion,
-            clearance=clearance,
         )
         return Following(plan, now, self.solver, self.rested)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.errors import SphereNmpcError, reason_of
+from sphere_nmpc.foreign_code import called
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_sim.world.plant.contract import PlantError
 from sphere_sim.world.walls import Contact
@@ -69,7 +70,7 @@ class CheckedPlant:
 
     def _tried(self, what: str, call: Callable[[], Any]) -> Any:
         try:
-            return call()
+            return called(call)
         except MemoryError:
             raise
         except Exception as error:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import pytest
 from patience import PATIENCE
 
+from sphere_nmpc.errors import ForeignCodeError
 from sphere_nmpc.floor.change_queue import ChangeQueue, Request
 
 Given = tuple[str, ...]
@@ -59,6 +60,8 @@ class Words:
                 raise ValueError("no word")
             if word == "exit":
                 raise SystemExit
+            if word == "interrupt":
+                raise KeyboardInterrupt
             return (*given, word)
 
         return Request(word, change, **given)
@@ -159,9 +162,30 @@ def test_end_does_not_wait_and_answers(words) -> None:
     assert words.finish() == ()
 
 
-def test_error_of_the_thread_itself_is_not_lost(words) -> None:
-    words.say("exit")
-    with pytest.raises(SystemExit):
-        words.finish()
-    words.say("b")
-    assert words.finish() == ("b",)
+def test_what_would_end_the_thread_is_refused_and_the_others_are_made(words) -> None:
+    words.gate.clear()
+    words.say("a")
+    words.say("exit", "b", "interrupt")
+    assert words.finish() == ("a", "b")
+    assert words.refused == [("exit", "SystemExit ''"), ("interrupt", "KeyboardInterrupt ''")]
+    answer = words.queue.prepare(words.request("exit"), is_awaited=True)
+    assert isinstance(answer.exception(0.0), ForeignCodeError)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), MemoryError()])
+def test_thread_that_cannot_be_started_refuses_what_waits_and_a_later_one_is(
+    words, monkeypatch, error
+) -> None:
+    def start(thread: threading.Thread) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        words.say("a")
+        answer = words.queue.prepare(words.request("b"))
+        awaited = words.queue.prepare(words.request("c"), is_awaited=True)
+        assert words.finish() == ()
+        assert answer.exception(0.0) is awaited.exception(0.0) is error
+    assert words.refused == [("a", str(error))] and words.queue.oldest() is None
+    words.say("d")
+    assert words.finish() == ("d",)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphere_sim.scenario import csv_file
 from sphere_sim.scenario.csv_file import (
     STATE_COLUMNS,
     ScenarioFileError,
@@ -44,6 +45,16 @@ def test_columns_may_come_in_any_order_with_extras_and_blank_lines(tmp_path) -> 
     np.testing.assert_array_equal(scenario.start, [1, 2, 1, 0, 0, 0])
     np.testing.assert_array_equal(scenario.goal, [0, 0, 0, 0, 0, 1])
     assert (scenario.seed, scenario.extra) == (7, {"who": "näme, with comma"})
+
+
+def test_rows_are_as_many_as_fit_into_memory(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(csv_file, "MOST_FIELDS", 3 * 12)
+    read = read_scenarios(write(tmp_path, HEADER, ROW, ROW, ROW))
+    assert [one.seed for one in read] == [0, 1, 2]
+    error = error_of(write(tmp_path, HEADER, *[ROW] * 4))
+    assert error.line == 5 and error.given == "more than 36 fields"
+    error = error_of(write(tmp_path, HEADER + ",who", *[ROW + ","] * 3))
+    assert error.line == 4 and error.expected == "at most 2 rows of 13 columns"
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,47 @@ def test_library_that_is_missing_or_of_another_layout_is_not_used(monkeypatch, t
         library._loaded()
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.999999])
+@pytest.mark.parametrize("name", ["solver.so", "fitting"])
+def test_library_that_is_cut_off_is_named_before_it_is_used(monkeypatch, tmp_path, share, name):
+    whole = sorted(library.FOLDER.glob("solver*.so"))
+    assert compiled()
+    cut = [one.name for one in whole if (one.name == "solver.so") == (name == "solver.so")]
+    if not cut:
+        pytest.skip("one instruction set")
+    for one in whole:
+        content = one.read_bytes()
+        size = int(share * len(content)) if one.name in cut else len(content)
+        (tmp_path / one.name).write_bytes(content[:size])
+    monkeypatch.setattr(library, "FOLDER", tmp_path)
+    with pytest.raises(OSError, match=f"{tmp_path}/solver.*(is cut off, given|too short)") as told:
+        library._loaded()
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
+@pytest.mark.parametrize("exported", ["", "const long long hold_layout = 1;",
+                                      'const char *hold_level(void) { return ""; }'])
+def test_library_without_a_name_that_is_wanted_is_of_another_version(
+    monkeypatch, tmp_path, exported
+):
+    (tmp_path / "old.c").write_text(exported)
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "old.c", "-o", "solver.so"], cwd=tmp_path, check=True
+    )
+    monkeypatch.setattr(library, "FOLDER", tmp_path)
+    with pytest.raises(OSError, match=f"{tmp_path}/solver.so is of another version"):
+        library._loaded()
+
+
+def test_library_with_other_arguments_is_of_another_version(monkeypatch):
+    assert compiled()
+    result, *arguments = layout.FUNCTIONS["hold_clearance"]
+    monkeypatch.setitem(layout.FUNCTIONS, "hold_clearance", (result, *arguments[:-1]))
+    with pytest.raises(OSError, match="another version"):
+        library._loaded()
+
+
 def test_without_a_solver_and_casadi_a_controller_is_refused_with_the_cure():
     program = (
         "from sphere_nmpc.control.controller import Controller\n"

@@ -1,0 +1,353 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Strategies of other packages that raise, return or write what they should not."""
+
+import math
+import signal
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from given_plans import Given, plan_of
+from sampled_loop import ROBOT
+
+from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.foreign_code import called
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.state import POSITION, STATE_SIZE, upright_state
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
+from sphere_nmpc.strategy.contract import MOST_KNOTS, Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.worker.contract import Worker
+from sphere_nmpc.worker.in_line import InLine
+
+SETTINGS = ControllerSettings()
+START, GOAL = upright_state(0.0, 0.0, 0.0), upright_state(1.0, 0.0, 0.0)
+PERIOD = 0.25
+
+
+class SilentError(Exception):
+    """Error whose text ends the process."""
+
+    def __str__(self) -> str:
+        raise SystemExit(3)
+
+
+RAISED = {
+    "SystemExit": SystemExit(3), "GeneratorExit": GeneratorExit(), "text": SilentError(),
+    "RecursionError": RecursionError("deep"), "MemoryError": MemoryError(),
+}
+"""What foreign code raises; a KeyboardInterrupt may be of the user, where SIGINT raises one."""
+
+
+def rolling(situation: Situation) -> Plan:
+    return plan_of(situation, [PERIOD] * 2, np.array([[20.0, 0.0], [20.0, 0.0]]))
+
+
+class Foreign(Given):
+    """Strategy of the table, whose methods a test replaces."""
+
+    error: BaseException | None = None
+    fails_in = ""
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(rolling)
+        self.call("__init__")
+
+    def call(self, name: str) -> None:
+        if Foreign.error is not None and Foreign.fails_in == name:
+            raise Foreign.error
+
+    def plan(self, situation: Situation) -> Plan:
+        self.call("plan")
+        return super().plan(situation)
+
+    def reset(self) -> None:
+        self.call("reset")
+        super().reset()
+
+    def change(self, settings: ControllerSettings) -> None:
+        self.call("change")
+
+    def search_beside(self, worker: Worker) -> None:
+        self.call("search_beside")
+
+    @property
+    def searches(self) -> bool:
+        self.call("searches")
+        return False
+
+    def is_due(self, now: float) -> bool:
+        self.call("is_due")
+        return False
+
+
+@pytest.fixture
+def foreign(monkeypatch: pytest.MonkeyPatch) -> ControllerSettings:
+    """Return settings that choose the strategy by the table."""
+    monkeypatch.setitem(STRATEGIES, "foreign", StrategyEntry(f"{__name__}:Foreign"))
+    monkeypatch.setattr(Foreign, "error", None)
+    monkeypatch.setattr(Foreign, "fails_in", "")
+    return ControllerSettings(strategy="foreign")
+
+
+def begun(make: Callable[[Situation], Any] = rolling, floor: Floor | None = None) -> Controller:
+    controller = Controller(SETTINGS, ROBOT, Given(make))
+    controller.floor = floor
+    controller.set_goal(GOAL)
+    controller.observe(0.0, START)
+    return controller
+
+
+def fail(name: str, error: BaseException) -> None:
+    Foreign.fails_in, Foreign.error = name, error
+
+
+@pytest.mark.parametrize("error", RAISED)
+@pytest.mark.parametrize("name", ["plan", "reset", "change", "searches", "is_due"])
+def test_whatever_a_strategy_raises_is_counted_and_the_loop_goes_on(foreign, error, name) -> None:
+    controller = Controller(foreign, ROBOT, worker=InLine())
+    controller.set_goal(GOAL)
+    controller.observe(0.0, START)
+    fail(name, RAISED[error])
+    controller.change(replace(foreign, goal_tolerance=0.02))
+    controller.enabled = False
+    controller.enabled = True
+    for time in (0.0, PERIOD):
+        controller.observe(time + 0.01, START)
+        controller.commit(controller.decide(time + 0.02), time + 0.02)
+        assert not controller.searches and not controller.is_due(time)
+    assert controller.failures > 0
+    kind = "ForeignCodeError" if error in ("SystemExit", "GeneratorExit", "text") else error
+    assert kind in controller.last_failure
+    Foreign.error = None
+    assert controller.decide(2.0 * PERIOD).mode is Kind.TRACKING
+
+
+@pytest.mark.parametrize("error", sorted(set(RAISED) - {"MemoryError"}))
+@pytest.mark.parametrize("name", ["__init__", "search_beside"])
+def test_strategy_that_cannot_be_made_is_refused_and_the_one_in_force_stays(
+    foreign, error, name
+) -> None:
+    in_force = ControllerSettings(strategy="paper")
+    controller = Controller(in_force, ROBOT, worker=InLine())
+    fail(name, RAISED[error])
+    words = "'foreign', expected one that can be made"
+    for take in (controller.prepare, controller.change):
+        with pytest.raises(InvalidParameterError, match=words):
+            take(foreign)
+    controller.set_goal(GOAL)
+    controller.observe(0.0, START)
+    assert controller.decide(0.0).mode is Kind.TRACKING
+    assert controller.failures == 0
+
+
+def test_strategy_that_was_prepared_is_the_one_put_in_force(foreign) -> None:
+    controller = Controller(ControllerSettings(strategy="paper"), ROBOT)
+    controller.prepare(foreign)
+    fail("__init__", SystemExit(3))  # no second one can be made
+    controller.change(foreign)
+    controller.set_goal(GOAL)
+    controller.observe(0.0, START)
+    assert controller.decide(0.0).mode is Kind.TRACKING
+
+
+@pytest.mark.parametrize(
+    ("source", "cause"),
+    [
+        ("import sys; sys.exit(3)", "SystemExit '3'"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt ''"),
+        ("class", "SyntaxError"),
+        ("def f(): f()\nf()", "RecursionError"),
+    ],
+)
+def test_import_that_ends_the_process_is_refused(
+    foreign, tmp_path, monkeypatch, source, cause
+) -> None:
+    (tmp_path / "ends_at_import.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(STRATEGIES, "foreign", StrategyEntry("ends_at_import:Own"))
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in a worker: it is not the user's
+    try:
+        with pytest.raises(InvalidParameterError) as caught:
+            Controller(foreign, ROBOT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert cause in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_interrupt_of_the_user_is_raised() -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        called(interrupted)
+
+
+class Other(Plan):
+    """Plan with methods of its own."""
+
+
+class OtherHold(FirstOrderHold):
+    """Hold with methods of its own."""
+
+
+def many(situation: Situation) -> Plan:
+    times = situation.time + np.linspace(0.0, 3.0, MOST_KNOTS + 1)
+    return Plan(PlanStatus.SOLVED, FirstOrderHold(times, np.zeros((times.size, 2))),
+                situation.state[None, :])
+
+
+WRONG = {
+    "nothing": lambda now: None,
+    "another plan": lambda now: Other(**vars(rolling(now))),
+    "another hold": lambda now: replace(
+        rolling(now), hold=OtherHold(rolling(now).hold.times, rolling(now).hold.speeds)
+    ),
+    "too many knots": many,
+    "a row too many": lambda now: replace(rolling(now), states=np.zeros((4, STATE_SIZE))),
+    "a flat array": lambda now: replace(rolling(now), states=np.zeros(STATE_SIZE)),
+    "a generator": lambda now: replace(rolling(now), states=iter(int, 1)),
+    "text": lambda now: replace(rolling(now), states="states"),
+    "nan": lambda now: replace(rolling(now), states=np.full((1, STATE_SIZE), math.nan)),
+    "a status": lambda now: replace(rolling(now), status="solved"),
+    "a message": lambda now: replace(rolling(now), message=b"bytes"),
+    "a time": lambda now: replace(rolling(now), until="soon"),
+    "a goal": lambda now: replace(rolling(now), goal=None),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_is_no_plan_counts_as_a_failure(wrong) -> None:
+    controller = begun(WRONG[wrong])
+    decision = controller.decide(0.0)
+    assert decision.mode is Kind.FALLBACK and controller.failures == 1
+    assert "\n" not in decision.plan.message and len(decision.plan.message) < 200
+
+
+@pytest.mark.parametrize("name", ["state", "goal", "input_in_force", "goal_rate"])
+def test_arrays_of_a_situation_cannot_be_written_to(name) -> None:
+    def writes(situation: Situation) -> Plan:
+        getattr(situation, name)[...] = 7.0
+        return rolling(situation)
+
+    controller = begun(writes)
+    decision = controller.decide(0.0)
+    assert decision.mode is Kind.FALLBACK
+    assert "read-only" in controller.last_failure
+    np.testing.assert_array_equal(decision.state[POSITION], START[POSITION])
+
+
+def test_disturbance_and_floor_of_a_situation_cannot_be_written_to() -> None:
+    refused = []
+
+    def writes(situation: Situation) -> Plan:
+        floor, disturbance = situation.floor, situation.disturbance
+        for array in (
+            floor.grid.occupied, floor.fine.occupied, floor.corner_distances, disturbance.slope,
+            disturbance.imbalance, situation.in_force.speeds,
+        ):
+            try:
+                array[...] = 0
+            except ValueError as error:
+                refused.append(str(error))
+        return rolling(situation)
+
+    controller = begun(floor=walled())
+    controller.set_goal(NEAR)
+    controller.commit(controller.decide(0.0), 0.0)
+    controller._strategy = Given(writes)
+    controller.observe(0.2, START)
+    controller.decide(PERIOD)
+    assert len(refused) == 6
+
+
+def test_plan_is_not_changed_by_what_the_strategy_writes_later() -> None:
+    given = np.zeros((3, STATE_SIZE))
+
+    def kept(situation: Situation) -> Plan:
+        given[:] = situation.state
+        return replace(rolling(situation), states=given[:])
+
+    decision = begun(kept).decide(0.0)
+    before = decision.plan.states.copy()
+    given[:] = math.nan
+    np.testing.assert_array_equal(decision.plan.states, before)
+
+
+def walled() -> Floor:
+    """Return a floor that ends 0.5 m from the sphere."""
+    occupied = np.zeros((20, 20), dtype=bool)
+    return Floor(Grid(occupied, 0.05, (-0.5, -0.5, 0.0)), ROBOT.shell_radius, 0.05)
+
+
+NEAR = upright_state(-0.1, 0.0, 0.0)
+
+
+def into_wall(situation: Situation) -> Plan:
+    return plan_of(situation, [1.0] * 3, np.array([[0.0, 90.0]] * 3))
+
+
+CLAIMS = {
+    "clearance": {"clearance": 1.0},
+    "infinite clearance": {"clearance": math.inf},
+    "stop": {"status": PlanStatus.RAMP_TO_REST},
+    "holding": {"status": PlanStatus.HOLDING},
+    "saturated": {
+        "status": PlanStatus.SATURATED, "states": np.append(START, np.zeros(3))[None, :]
+    },
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_plan_into_a_wall_is_not_followed_whatever_it_says_of_itself(claim) -> None:
+    floor = walled()
+    controller = begun(lambda now: replace(into_wall(now), **CLAIMS[claim]), floor)
+    controller.set_goal(NEAR)
+    decision = controller.decide(0.0)
+    assert controller.failures == 0, controller.last_failure
+    assert not decision.plan.hold.speeds.any()
+    hold = controller.commit(decision, 0.0)
+    assert hold is None or not hold.speeds.any()
+
+
+@pytest.mark.parametrize("ahead", [0.0, 1.0])
+def test_plan_begins_at_the_present_and_keeps_the_limits_before_it_is_certified(ahead) -> None:
+    def wild(situation: Situation) -> Plan:
+        plan = rolling(situation)
+        times = plan.hold.times + ahead
+        return replace(plan, hold=FirstOrderHold(times, np.full((times.size, 2), 1e6)))
+
+    hold = begun(wild).decide(0.0).plan.hold
+    assert hold.start == 0.0 and not hold.speeds[0].any()
+    assert np.abs(hold.speeds).max() <= ROBOT.max_rotor_speed
+    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+    assert np.abs(slopes).max() <= ROBOT.max_rotor_acceleration * (1.0 + 1e-9)
+
+
+def test_text_of_a_plan_is_one_printable_line() -> None:
+    text = "a\nb\x1b[31m" + 10_000 * "x"
+    plan = begun(lambda now: replace(rolling(now), message=text, given_up=text)).decide(0.0).plan
+    for line in (plan.message, plan.given_up):
+        assert line.isprintable() and len(line) <= 600
+
+
+def test_module_that_raises_for_a_missing_name_is_refused(foreign, monkeypatch) -> None:
+    module = types.ModuleType("ends_when_asked")
+
+    def ends(name: str) -> None:
+        raise SystemExit(3)
+
+    module.__getattr__ = ends  # type: ignore[method-assign]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(STRATEGIES, "foreign", StrategyEntry("ends_when_asked:Own"))
+    with pytest.raises(InvalidParameterError, match="can be imported"):
+        Controller(foreign, ROBOT)

@@ -260,6 +260,8 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
         response.results = [*response.results, refused, *[untried] * left]
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = refused
+    elif hasattr(response, "RESULT_UNDEFINED_FAILURE"):
+        response.result = response.RESULT_UNDEFINED_FAILURE
     elif hasattr(response, "failure_reason"):
         response.failure_reason = reason
     elif hasattr(response, "message"):

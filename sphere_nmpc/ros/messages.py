@@ -22,6 +22,9 @@ from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, up
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import BODY_FRAME, WORLD_FRAME, stamp_of
 
+MOST_GOALS = 500
+"""Goals of a list, which take some 30 ms to be read."""
+
 
 def stamp_to_ros(stamp: int) -> Time:
     """Return a stamp [ns] as a message."""
@@ -71,10 +74,12 @@ def uncertain_pose_from_ros(message: Any, frame: str) -> tuple[Vector, Vector | 
 def framed_poses_from_ros(
     messages: Sequence[Any], common: str, frame: str = WORLD_FRAME
 ) -> list[Vector]:
-    """Return the states of PoseStampeds, each as `framed_pose_from_ros`.
+    """Return the states of PoseStampeds, each as `framed_pose_from_ros`, `MOST_GOALS` at most.
 
     Those without a frame are in the `common` one, that of their list, which they are given.
     """
+    if len(messages) > MOST_GOALS:
+        raise InvalidStateError("goals", f"{len(messages)} goals", f"at most {MOST_GOALS}")
     for message in messages:
         message.header.frame_id = message.header.frame_id or common
     return [framed_pose_from_ros(message, frame) for message in messages]

@@ -72,7 +72,6 @@ class GoalReport:
         Before its first sampling instant a controller tells nothing of plans and commands.
         `InvalidInputError` is raised for values that are no status of a controller.
         """
-
         given_up = values.get("giving_up", "")
 
         def number(key: str, missing: float = math.nan) -> float:
@@ -131,4 +130,5 @@ class Patience:
         )
         if report.stamp and is_final:
             return mode + told
-        return f"{mode}{told}, for {self._longest:g} s" if now - self._since > self._longest else ""
+        is_over = now - self._since > self._longest
+        return f"{mode}{told}, for {self._longest:g} s" if is_over else ""

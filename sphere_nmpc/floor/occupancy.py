@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.state import FARTHEST, Vector
 
 MOST_CELLS = 10**8
@@ -35,7 +36,13 @@ Runs = NDArray[np.int64]
 
 
 class InvalidMapError(InvalidParameterError):
-    """Map, polygon or map file that cannot be used; what was in force before stays."""
+    """Map, polygon or map file that cannot be used; what was in force before stays.
+
+    What is `given` is described.
+    """
+
+    def __init__(self, name: str, given: str, expected: str) -> None:
+        super().__init__(name, Description(given), expected)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, upright_state
@@ -79,7 +80,8 @@ def framed_poses_from_ros(
     Those without a frame are in the `common` one, that of their list, which they are given.
     """
     if len(messages) > MOST_GOALS:
-        raise InvalidStateError("goals", f"{len(messages)} goals", f"at most {MOST_GOALS}")
+        given = Description(f"{len(messages)} goals")
+        raise InvalidStateError("goals", given, f"at most {MOST_GOALS}")
     for message in messages:
         message.header.frame_id = message.header.frame_id or common
     return [framed_pose_from_ros(message, frame) for message in messages]

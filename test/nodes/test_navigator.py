@@ -158,7 +158,7 @@ def test_killed_navigator_can_be_restarted_while_the_sphere_goes_on(session) -> 
     # As long as the killed one is known it could be another that lives.
     sent = client.send(pose(0.0, 0.0))
     while not sent.is_accepted:
-        told = "rejected: navigators: given '/navigator, /navigator'"
+        told = "rejected: navigators: given /navigator, /navigator"
         assert told in session.log("navigator")
         session.graph.until(lambda: len(client.navigators()) == 1)
         sent = client.send(pose(0.0, 0.0))

@@ -87,6 +87,6 @@ class GoalReceiver:
     def _list(self, message: Any) -> tuple[Goal, ...]:
         """Return the goals of a list."""
         if not message.goals:
-            raise InvalidStateError("goals", "an empty list", "one pose or more; ~/cancel stops")
+            raise InvalidStateError("goals", [], "one pose or more; ~/cancel stops")
         poses = framed_poses_from_ros(message.goals, message.header.frame_id, self._frame)
         return tuple(Goal(pose, Orientation(self._orientation())) for pose in poses)

@@ -25,6 +25,7 @@ from rclpy.parameter import Parameter
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
@@ -128,7 +129,7 @@ class NavigatorNode(GuardedNode):
             raise SphereNmpcError("the navigator ends")
         # Each would take the goal, and see that of the other take over.
         if len(names := self._navigators()) > 1:
-            raise InvalidInputError("navigators", names_of(names), "one")
+            raise InvalidInputError("navigators", Description(names_of(names)), "one")
         stages_of(request, self._frame)
 
     def _begin(self, server: GoalServer, handle: ServerGoalHandle) -> None:

@@ -93,7 +93,7 @@ def test_more_poses_than_the_controller_takes_are_refused_whatever_they_are() ->
             if poses == 500:
                 assert sum(len(stage.goals) for stage in stages_of(request, "world")) == 500
                 continue
-            with pytest.raises(InvalidValueError, match="given '501 goals', expected at most 500"):
+            with pytest.raises(InvalidValueError, match="given 501 goals, expected at most 500"):
                 stages_of(request, "world")
 
 

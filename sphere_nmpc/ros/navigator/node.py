@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.foreign_text import Description
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantity import NANOSECONDS, counted
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode
@@ -136,7 +136,7 @@ class NavigatorNode(GuardedNode):
         stages, key = stages_of(handle.request, self._frame), bytes(handle.goal_id.uuid)
         accepted = _Accepted(server, handle, stages, self.get_clock().now().nanoseconds)
         self._goals[key] = accepted
-        self._event_log.report("goal", f"{sum(len(stage.goals) for stage in stages)} poses")
+        self._event_log.report("goal", counted(sum(len(one.goals) for one in stages), "pose"))
         is_route = hasattr(handle.request, "number_of_loops")
         self._link.begin(key, accepted.messages(), self._waypoint_pause if is_route else 0.0)
 

@@ -291,11 +291,19 @@ def number(text: str) -> float | str:
 
 def initial_state(text: str) -> list[float]:
     """Return the parameter of the simulator, which may be given as x, y and yaw."""
+    words = text.strip("[] ").replace(",", " ").split()
     try:
-        numbers = [float(word) for word in text.strip("[] ").replace(",", " ").split()]
-        return upright_state(*numbers).tolist() if len(numbers) == 3 else numbers
-    except (ValueError, InvalidStateError) as error:
+        if len(words) == 3:
+            return upright_state(*map(float, words)).tolist()
+        if len(words) == 6:
+            return [float(word) for word in words]
+    except InvalidStateError as error:
         raise RuntimeError(f"initial_state: given {text}: {error}") from None
+    except ValueError:
+        pass  # a word that is no number
+    raise RuntimeError(
+        f"initial_state: given {text!r}, expected the numbers X,Y,YAW or X,Y,QW,QX,QY,QZ"
+    )
 
 
 def robot_description(params: str, place: str) -> str:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from sphere_nmpc.errors import InvalidValueError
+from sphere_nmpc.foreign_text import Description
 
 _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket",
@@ -16,7 +17,13 @@ _KINDS = {
 
 
 class InvalidFileError(InvalidValueError):
-    """File that is none with a content of its own, such as a pipe, or is too large."""
+    """File that is none with a content of its own, such as a pipe, or is too large.
+
+    What is `given` is described.
+    """
+
+    def __init__(self, name: str, given: str, expected: str) -> None:
+        super().__init__(name, Description(given), expected)
 
 
 def find_file(path: Path) -> Path:
@@ -32,7 +39,7 @@ def find_file(path: Path) -> Path:
         if place.exists():
             return place
     looked = " or ".join(str(place) for place in places)
-    raise InvalidFileError(str(path), "no such file", f"an existing file, {looked}")
+    raise InvalidFileError(str(path), "no such file", f"an existing file at {looked}")
 
 
 def _package_folders() -> list[Path]:

@@ -32,6 +32,11 @@ def stamp_text(stamp: int) -> str:
     return "{}.{:09d}".format(*divmod(stamp, NANOSECONDS))
 
 
+def counted(number: int, name: str) -> str:
+    """Return a number of things of a name whose plural ends in s."""
+    return f"{number} {name}" if number == 1 else f"{number} {name}s"
+
+
 @dataclass(frozen=True)
 class Quantity:
     """Metadata of a parameter."""
@@ -89,7 +94,8 @@ def _check(name: str, value: Any, default: Any, about: Quantity) -> None:
             raise InvalidParameterError(name, value, "a list of texts")
     elif isinstance(default, tuple):
         if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != len(default):
-            raise InvalidParameterError(name, value, f"{len(default)} numbers [{about.unit}]")
+            expected = f"{counted(len(default), 'number')} [{about.unit}]"
+            raise InvalidParameterError(name, value, expected)
         for item in value:
             _check_number(name, item, value, about)
     else:

@@ -78,9 +78,10 @@ edit. `config/sphere.yaml` contains every parameter with its default.
 
 All values are SI. An integer is accepted where a real number is expected. **live** parameters can
 be changed while the node runs (`ros2 param set`); an invalid change is refused as a whole, with
-the reason. All others are read-only. An invalid value in a file or on the command line ends the
-node immediately with one line and exit code {_EXIT_CODE} (1 for an empty value, which ROS itself
-refuses); an unknown name gives one warning and is ignored.
+the reason. All others are read-only, and accepted with the value that they have:
+`ros2 param load` takes what `ros2 param dump` has written. An invalid value in a file or on the
+command line ends the node immediately with one line and exit code {_EXIT_CODE} (1 for an empty
+value, which ROS itself refuses); an unknown name gives one warning and is ignored.
 
 Every node also has `use_sim_time`: set it to `true` for all but the simulator to follow the
 simulator's `/clock`, and leave it unset for the simulator, which publishes that clock.

@@ -36,8 +36,8 @@ class NavigatorSettings:
     no_progress_timeout: float = quantity(
         30.0, "s",
         "Wall time after which a goal is aborted that the controller does not pursue, as without "
-        "fresh poses or progress, or with a clock that stands still; one that cannot be reached "
-        "on this floor is aborted as soon as the sphere stands",
+        "fresh poses or progress, or with a clock that stands still; one outside of the floor or "
+        "in what is occupied is aborted at once, one without a way as soon as the sphere stands",
         minimum=1.0, maximum=1e6,
     )
     waypoint_pause: float = quantity(

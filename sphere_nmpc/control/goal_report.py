@@ -18,6 +18,8 @@ OF_THE_WAY = {
     kind.value for kind in Kind if kind is Kind.NO_PROGRESS or kind.is_unreachable
 }
 """Causes that concern the way to a goal, so that another one may be reached."""
+_OF_THE_GOAL = {Kind.GOAL_OUTSIDE.value, Kind.GOAL_OCCUPIED.value}
+"""Causes that are known before the sphere moves, wherever it is."""
 _KEYS = "goal_stamp", "goal_index", "mode", "plans", "total_time_left_s", "total_distance_left_m"
 
 
@@ -70,6 +72,7 @@ class GoalReport:
         Before its first sampling instant a controller tells nothing of plans and commands.
         `InvalidInputError` is raised for values that are no status of a controller.
         """
+        given_up = values.get("giving_up", "")
 
         def number(key: str, missing: float = math.nan) -> float:
             return known(float(values.get(key, missing)))
@@ -81,7 +84,7 @@ class GoalReport:
                 number("time_s"), number("time_left_s"), number("distance_left_m"),
                 number("total_time_left_s"), number("total_distance_left_m"),
                 values.get("unreachable", ""),
-                values.get("no_progress") or values.get("giving_up", ""),
+                values.get("no_progress") or (given_up and f"the strategy gives up {given_up}"),
             )
         except (KeyError, ValueError) as error:
             raise InvalidInputError(
@@ -102,9 +105,10 @@ class GoalReport:
 class Patience:
     """Decides when a goal is given up that the controller does not pursue.
 
-    At once where it is disabled, and where the sphere stands as the goal is unreachable whatever
-    moves on the floor; otherwise after the time `longest` [s], in which poses may return, an area
-    may move on, a blocked sphere may be freed, or a search may find a plan.
+    At once where it is disabled, and where the goal is unreachable whatever moves on the floor:
+    one outside or in what is occupied without further ado, another one as soon as the sphere
+    stands. Otherwise after the time `longest` [s], in which poses may return, an area may move on,
+    a blocked sphere may be freed, or a search may find a plan.
     """
 
     def __init__(self, longest: float) -> None:
@@ -113,7 +117,9 @@ class Patience:
 
     def exhausted(self, report: GoalReport, now: float) -> str:
         """Return why the goals of a report are given up at `now` [s]; empty while they are not."""
-        mode = report.mode
+        mode, told = report.mode, f": {report.obstacle}" if report.obstacle else ""
+        if report.stamp and report.unreachable in _OF_THE_GOAL:
+            return report.cause + told
         if mode in _PURSUED:
             self._since = None
             return ""
@@ -122,7 +128,7 @@ class Patience:
         is_final = mode == Kind.DISABLED.value or (
             mode == Kind.NO_PROGRESS.value and report.unreachable
         )
-        reason = f"{mode}: {report.obstacle}" if report.obstacle else mode
         if report.stamp and is_final:
-            return reason
-        return f"{reason}, for {self._longest:g} s" if now - self._since > self._longest else ""
+            return mode + told
+        is_over = now - self._since > self._longest
+        return f"{mode}{told}, for {self._longest:g} s" if is_over else ""

@@ -26,6 +26,9 @@ _SHARE = 0.2
 _INEXACT = 2e-3
 """Standard deviation of the stamps from which on it is told [s]: 1.5 mm at the full speed of the
 robot of Table 1."""
+_LASTING = 3.0
+"""Control time for which that has to last [s]: a change of noise or slope looks like it for up to
+0.8 s, until it is known."""
 
 
 class PoseGate:
@@ -107,14 +110,20 @@ class StampWatch:
     def __init__(self) -> None:
         self._newest: tuple[float, Vector] = (math.nan, np.empty(0))
         self._gaps = Recent()
-        self.deviation = 0.0
-        """Standard deviation of the stamps that the motion shows [s]."""
+        self._deviation, self._exact_at = 0.0, math.inf
+        """What is told [s], and the last time at which there was nothing to be told [s]."""
 
     def received(self, stamp: float, pose: Vector) -> None:
         """Record a pose, shape (6,), and its stamp [s]; a copy of the one before counts as it."""
         (before, same), self._newest = self._newest, (stamp, pose)
         if stamp > before or (stamp == before and not np.array_equal(pose, same)):
             self._gaps.append(stamp - before)
+
+    def moved(self, time: float, deviation: float) -> None:
+        """Record the standard deviation of the stamps [s] that motion has shown at a time [s]."""
+        if not (deviation >= _INEXACT and time >= self._exact_at):
+            self._exact_at = time
+        self._deviation = deviation if time >= self._exact_at + _LASTING else 0.0
 
     def fault(self) -> Condition | None:
         """Return what is wrong with the stamps, and the remedy; None if nothing is."""
@@ -138,11 +147,11 @@ class StampWatch:
                 "measurement: poses are stamped where they are measured, not where bunches of "
                 "them are passed on",
             )
-        if self.deviation < _INEXACT:
+        if not self._deviation:
             return None
         return Condition(
             Kind.INEXACT_STAMPS,
-            f"given poses whose stamps are off by about {1e3 * self.deviation:.2g} ms, by the "
+            f"given poses whose stamps are off by about {1e3 * self._deviation:.2g} ms, by the "
             "motion that they show, expected the times of measurement: stamp them where they are "
             "measured, by the clock of this node",
         )

@@ -5,6 +5,7 @@
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.state import Vector
 
 _REST = 0.5
@@ -34,16 +35,18 @@ def rolled_radius(
         moved = float(np.max(np.linalg.norm(places[at] - ends[-1], axis=1)))
         if times[-1] - times[0] < 2.0 * _REST or moved > _STILL:
             raise InvalidInputError(
-                f"{name} of the way", f"{1e3 * moved:.2g} mm", f"at most {1e3 * _STILL:g} mm in "
-                f"{_REST:g} s: the sphere has to rest at both ends",
+                f"{name} of the way", Description(f"{1e3 * moved:.2g} mm"),
+                f"at most {1e3 * _STILL:g} mm in {_REST:g} s: the sphere has to rest at both ends",
             )
     rolled = float(np.linalg.norm(ends[1] - ends[0]))
     path = float(np.sum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     if rolled < _SHORTEST:
-        raise InvalidInputError("estimated way", f"{rolled:.4f} m", f"{_SHORTEST:g} m or more")
+        given = Description(f"{rolled:.4f} m")
+        raise InvalidInputError("estimated way", given, f"{_SHORTEST:g} m or more")
     if path > (1.0 + _STRAIGHT) * rolled:
         raise InvalidInputError(
-            "path", f"{path:.4f} m", f"a straight one, at most {100.0 * _STRAIGHT:g} % longer "
-            f"than the distance of its ends, {rolled:.4f} m",
+            "path", Description(f"{path:.4f} m"),
+            f"a straight one, at most {100.0 * _STRAIGHT:g} % longer than the distance of its "
+            f"ends, {rolled:.4f} m",
         )
     return radius * distance / rolled, rolled

@@ -99,7 +99,7 @@ def read_map(path: Path) -> MapValues:
     except InvalidMapError:
         raise
     except InvalidFileError as error:
-        raise InvalidMapError(name, error.given, error.expected) from None
+        raise InvalidMapError(name, str(error.given), error.expected) from None
     except Exception as error:  # parsers and decoders raise many kinds for a broken file
         raise InvalidMapError(name, shown(error), "a YAML file of map_server") from None
 

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.state import FARTHEST, Vector
+from sphere_nmpc.quantity import counted
 
 MOST_CELLS = 10**8
 """Cells of the largest map that is accepted."""
@@ -35,7 +37,13 @@ Runs = NDArray[np.int64]
 
 
 class InvalidMapError(InvalidParameterError):
-    """Map, polygon or map file that cannot be used; what was in force before stays."""
+    """Map, polygon or map file that cannot be used; what was in force before stays.
+
+    What is `given` is described.
+    """
+
+    def __init__(self, name: str, given: str, expected: str) -> None:
+        super().__init__(name, Description(given), expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +236,8 @@ def grid_of_values(
     """
     place = check_geometry("map", width, height, resolution, origin)
     if values.size != width * height:
-        raise InvalidMapError("map", f"{values.size} values", f"width x height, {width * height}")
+        given = counted(values.size, "value")
+        raise InvalidMapError("map", given, f"width x height, {width * height}")
     low, high = int(values.min()), int(values.max())
     if low < -1 or high > 100:
         wrong = low if low < -1 else high
@@ -288,12 +297,12 @@ def check_polygon(name: str, corners: Sequence[Sequence[float]]) -> Vector:
     """
     count = len(corners)
     if count > MOST_CORNERS:
-        raise InvalidMapError(name, f"{count} corners", f"three to {MOST_CORNERS}")
+        raise InvalidMapError(name, counted(count, "corner"), f"three to {MOST_CORNERS}")
     polygon = np.array([[float(x), float(y)] for x, y, *_ in corners]).reshape(-1, 2)
     # In this way also where one is not a number.
     if count < 3 or not (np.abs(polygon) <= FARTHEST).all():
         raise InvalidMapError(
-            name, f"{count} corners", f"three or more, finite, within {FARTHEST:g} m"
+            name, counted(count, "corner"), f"three or more, finite, within {FARTHEST:g} m"
         )
     after = np.roll(polygon, -1, axis=0)
     crossing = _first_crossing(polygon, after)

@@ -24,6 +24,7 @@ from sphere_nmpc.floor.layers import MOST_AREAS, Layers
 from sphere_nmpc.floor.map_file import read_map
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.ros.cdr import floor_message
 from sphere_nmpc.ros.floor_messages import (
     LARGEST_KEEPOUT,
@@ -189,7 +190,8 @@ class FloorReceiver(Generic[S, T]):
 
     def close(self) -> None:
         """Make no floor any more; one that is being made is not waited for."""
-        self._changes.close(InvalidParameterError("node", "its end", "a node that runs on"))
+        ended = Description("its end")
+        self._changes.close(InvalidParameterError("node", ended, "a node that runs on"))
 
     def _receive_map(self, message: bytes) -> None:
         def changed(given: _Given[S]) -> _Given[S]:

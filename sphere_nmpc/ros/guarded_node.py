@@ -27,6 +27,7 @@ from type_description_interfaces.srv import GetTypeDescription
 
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError, reason_of
 from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.ros.cdr import clock_stamp
 from sphere_nmpc.ros.messages import message_object
 from sphere_nmpc.ros.parameters import Parameters
@@ -94,7 +95,7 @@ class GuardedNode(Node):
         def take(message: bytes, *about: Any) -> None:
             try:
                 if largest is not None and len(message) > largest[0]:
-                    size = f"{len(message)} bytes"
+                    size = Description(f"{len(message)} bytes")
                     raise InvalidInputError(topic, size, f"at most {largest[1]}")
                 if msg_type is Clock and not raw:
                     clock_stamp(message)  # rclpy would raise an error of its own before 0
@@ -260,6 +261,8 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
         response.results = [*response.results, refused, *[untried] * left]
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = refused
+    elif hasattr(response, "RESULT_UNDEFINED_FAILURE"):
+        response.result = response.RESULT_UNDEFINED_FAILURE
     elif hasattr(response, "failure_reason"):
         response.failure_reason = reason
     elif hasattr(response, "message"):

@@ -16,11 +16,15 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import BODY_FRAME, WORLD_FRAME, stamp_of
+
+MOST_GOALS = 500
+"""Goals of a list, which take some 30 ms to be read."""
 
 
 def stamp_to_ros(stamp: int) -> Time:
@@ -71,10 +75,13 @@ def uncertain_pose_from_ros(message: Any, frame: str) -> tuple[Vector, Vector | 
 def framed_poses_from_ros(
     messages: Sequence[Any], common: str, frame: str = WORLD_FRAME
 ) -> list[Vector]:
-    """Return the states of PoseStampeds, each as `framed_pose_from_ros`.
+    """Return the states of PoseStampeds, each as `framed_pose_from_ros`, `MOST_GOALS` at most.
 
     Those without a frame are in the `common` one, that of their list, which they are given.
     """
+    if len(messages) > MOST_GOALS:
+        given = Description(f"{len(messages)} goals")
+        raise InvalidStateError("goals", given, f"at most {MOST_GOALS}")
     for message in messages:
         message.header.frame_id = message.header.frame_id or common
     return [framed_pose_from_ros(message, frame) for message in messages]

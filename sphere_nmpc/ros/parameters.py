@@ -151,12 +151,23 @@ class Parameters:
     ) -> Generator[Future[Any], None, Any]:
         """Answer a request to set parameters, once what each of its changes needs is made.
 
-        `set_now` is rclpy's own callback of the service; for the generator see `GuardedNode`.
+        A read-only parameter is accepted with the value that it has, as a file that was dumped is
+        loaded. `set_now` is rclpy's own callback of the service; for the generator see
+        `GuardedNode`.
         """
         given = list(request.parameters)
         is_whole = isinstance(request, SetParametersAtomically.Request)
-        for part in [given] if is_whole else [[one] for one in given]:
-            values = self._by_owner([Parameter.from_parameter_msg(one) for one in part])
+        for asked in [given] if is_whole else [[one] for one in given]:
+            read = [Parameter.from_parameter_msg(one) for one in asked]
+            changes = [one for one in read if not self._is_kept(one)]
+            if asked and not changes:
+                accepted = SetParametersResult(successful=True)
+                if is_whole:
+                    response.result = accepted
+                else:
+                    response.results.append(accepted)
+                continue
+            values = self._by_owner(changes)
             made = {owner: owner.prepare(some, wait=False) for owner, some in values.items()}
             for future in made.values():
                 if future is not None:
@@ -164,11 +175,21 @@ class Parameters:
             for owner, future in made.items():
                 owner.prepared = future
             try:
+                part = [one.to_parameter_msg() for one in changes]
                 set_now(type(request)(parameters=part), response)
             finally:
                 for owner in made:
                     owner.prepared = None
         return response
+
+    def _is_kept(self, given: Parameter) -> bool:
+        """Return whether a parameter is read-only and has the given value."""
+        name, node = given.name, self._node
+        if not (node.has_parameter(name) and node.describe_parameter(name).read_only):
+            return False
+        (converted,) = self._convert([given])
+        kept = node.get_parameter(name)
+        return bool(converted.to_parameter_msg() == kept.to_parameter_msg())
 
     def _convert(self, parameters: list[Parameter]) -> list[Parameter]:
         """Convert values given to the node, so that ``5`` is accepted for ``5.0``."""

@@ -157,7 +157,7 @@ class PaperStrategy:
             iterations=solution.iterations,
             kkt_residual=solution.kkt_residual,
             solve_time=solve_time,
-            message=message or solution.status.value,
+            message=message or (solution.status.value if capped else ""),
         )
 
     def _best_answer(

@@ -35,7 +35,8 @@ class Metrics:
     max_rotor_speed, max_rotor_torque_nm : float
         Largest magnitudes [rad/s], [N m].
     solve_ms_p50, solve_ms_p99 : float
-        Median and 99th percentile of the solve time [ms].
+        Median and 99th percentile of the solve time [ms], of the instants at which a plan was
+        solved, rather than kept in 0 s.
     """
 
     settled: bool
@@ -199,8 +200,8 @@ def _peak(values: NDArray[np.float64]) -> float:
 
 
 def _percentile(solve_times: Vector, percent: float) -> float:
-    finite = solve_times[np.isfinite(solve_times)]
-    return 1e3 * float(np.percentile(finite, percent)) if finite.size else math.nan
+    solved = solve_times[np.isfinite(solve_times) & (solve_times > 0.0)]
+    return 1e3 * float(np.percentile(solved, percent)) if solved.size else math.nan
 
 
 def touches(clearances: Vector) -> NDArray[np.intp]:

@@ -20,6 +20,7 @@ from sphere_nmpc.errors import InvalidParameterError, InvalidStateError, SphereN
 from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
+from sphere_nmpc.quantity import counted
 from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
@@ -111,7 +112,7 @@ def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
             continue
         if len(fields) != len(header):
             raise ScenarioFileError(
-                path, f"{len(fields)} fields", f"{len(header)}, as in the header", line
+                path, counted(len(fields), "field"), f"{len(header)}, as in the header", line
             )
         number += 1
         if number * len(header) > MOST_FIELDS:

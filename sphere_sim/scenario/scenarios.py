@@ -13,6 +13,7 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector, as_state, make_state
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
@@ -220,6 +221,6 @@ def _clear_place(rng: np.random.Generator, floor: Floor) -> Vector:
         if floor.distances(place[None])[0] >= floor.needed:
             return place
     raise InvalidParameterError(
-        "map", f"no place that is {floor.needed:g} m away from what is occupied",
+        "map", Description(f"no place that is {floor.needed:g} m away from what is occupied"),
         "room for the sphere",
     )

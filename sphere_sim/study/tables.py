@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import counted
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import write_atomically
 from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
@@ -153,7 +154,7 @@ def headline(summary: dict[str, Any]) -> str:
     if summary["final_error"]["count"]:
         parts.append(f"final error {summary['final_error']['median']:.1e}")
     if "contacts" in summary:
-        parts.append(f"{summary['contacts']} contacts")
+        parts.append(counted(int(summary["contacts"]), "contact"))
         if summary["least_clearance_m"] is not None:
             parts.append(f"least clearance {1e3 * summary['least_clearance_m']:.1f} mm")
     if ODOMETRY_RESULT_COLUMNS[0] in summary:

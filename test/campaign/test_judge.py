@@ -157,9 +157,9 @@ def test_each_fault_of_a_log_has_one_complaint(line, complaint) -> None:
 @pytest.mark.parametrize(
     ("line", "complaints"),
     [
-        ("simulator: wall touched: by the sphere at [0.700, 0.000] m, t = 3.200 s; 1 contacts so "
+        ("simulator: wall touched: by the sphere at [0.700, 0.000] m, t = 3.200 s; 1 contact so "
          "far", ["the sphere touched an obstacle"]),
-        ("simulator: map refused: map: given 'a value of 101'", []),
+        ("simulator: map refused: map: given a value of 101", []),
     ],
 )
 def test_sphere_that_touched_an_obstacle_has_a_complaint(line, complaints) -> None:

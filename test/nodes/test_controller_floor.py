@@ -212,15 +212,15 @@ def of_another_frame() -> OccupancyGrid:
 @pytest.mark.parametrize(
     ("message", "told"),
     [
-        (map_message(value=101), "map: given 'a value of 101', expected -1 (unknown)"),
-        (map_message(1e-30), "map: given 'a resolution of 1e-30 m', expected a positive number"),
-        (of_another_frame(), "map: given 'frame odom', expected 'world' (world_frame) or none"),
+        (map_message(value=101), "map: given a value of 101, expected -1 (unknown)"),
+        (map_message(1e-30), "map: given a resolution of 1e-30 m, expected a positive number"),
+        (of_another_frame(), "map: given frame odom, expected 'world' (world_frame) or none"),
         (area(3, [(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]),
-         "keepout 3: given 'edges 0 and 2 that cross', expected a simple polygon"),
-        (area(3, SQUARE, frame="odom"), "keepout: given 'frame odom', expected 'world'"),
-        (area(2, SQUARE, 1e5), "keepout 2: given 'a floor of 1.0"),
+         "keepout 3: given edges 0 and 2 that cross, expected a simple polygon"),
+        (area(3, SQUARE, frame="odom"), "keepout: given frame odom, expected 'world'"),
+        (area(2, SQUARE, 1e5), "keepout 2: given a floor of 1.0"),
         (area(1, [(0.0, 0.0)] * 20_000),
-         "keepout: given '240036 bytes', expected at most 5000 corners"),
+         "keepout: given 240036 bytes, expected at most 5000 corners"),
     ],
     ids=["value", "cells", "frame", "edges", "frame of an area", "far away", "corners"],
 )
@@ -249,7 +249,7 @@ def test_parameters_of_the_floor_are_live(floors) -> None:
     floors.set(floor=EDGE)
     assert distance(node, 2.5, 1.5) == 0.0
     for wrong, told in (
-        ({"floor": "[[0, 0], [2, 2], [2, 0], [0, 2]]"}, "floor: given 'edges 0 and 2 that cross'"),
+        ({"floor": "[[0, 0], [2, 2], [2, 0], [0, 2]]"}, "floor: given edges 0 and 2 that cross"),
         ({"floor": "a square"}, "floor: given 'a square', expected corners such as"),
         ({"clearance": -1.0}, "clearance"),
     ):
@@ -361,7 +361,7 @@ def test_request_that_is_refused_in_part_or_late_is_not_in_force(floors, tmp_pat
     answer = floors.asked(map_file=str(tmp_path / "pipe"), clearance=0.1, floor=7)
     graph.until(answer.done)
     file, clearance, other = answer.result().results
-    assert not file.successful and "given 'a pipe', expected a regular file" in file.reason
+    assert not file.successful and "given a pipe, expected a regular file" in file.reason
     assert clearance.successful and not other.successful
     answer = floors.asked(atomically=True, floor=EDGE, clearance=0.3)
     graph.until(answer.done)

@@ -24,6 +24,11 @@ FAR = ("300", "0", "--wait")
 def test_missing_controller_exits_with_1(capsys) -> None:
     assert main(["1", "2", "--timeout", "0.3"]) == 1
     assert "no controller was ready within 0.3 s" in capsys.readouterr().err
+    assert main(["1", "2", "--timeout", "1.2"]) == 1
+    *_, waiting, ended = capsys.readouterr().err.splitlines()
+    found = "0 subscribers of /goal_pose, 0 publishers of /controller/status"
+    assert waiting.endswith(f": waiting up to 1.2 s for a controller: {found}")
+    assert f": no controller was ready within 1.2 s: {found}; is one" in ended
 
 
 def test_goal_that_no_controller_confirms_exits_with_1(capsys, monkeypatch) -> None:

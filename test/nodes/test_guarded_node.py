@@ -180,4 +180,4 @@ def test_message_that_is_too_large_is_refused_before_it_is_read(graph, wanting, 
     publisher.publish(pose(2))
     graph.until(lambda: wanting.heard == [2])
     (line,) = (line for line in warnings(capfd) if line.startswith("small refused"))
-    assert line == "small refused: small: given '1076 bytes', expected at most a short name"
+    assert line == "small refused: small: given 1076 bytes, expected at most a short name"

@@ -15,6 +15,8 @@ import pytest
 import yaml
 from documented_topics import table
 from parameter_tables import NODES, OF_ROBOT, PARTS
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -26,6 +28,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.navigator.node import NavigatorNode
+from sphere_nmpc.ros.navigator.substitutes import SERVICES
 from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_nmpc.ros.parameters import Parameters
 from sphere_nmpc.ros.settings import FrameSettings
@@ -41,8 +44,11 @@ CLASSES: dict[str, Any] = {
 }
 SHARED = {"/clock", "/diagnostics"}
 """Topics that precede every namespace; without the nodes' remapping /clock is one of them."""
-ELSEWHERE = re.compile("/rosout|/parameter_events|/tf|.*parameter|.*type_description")
-"""Topics and services of rclpy, and one that depends on what is installed."""
+ELSEWHERE = re.compile("|".join((
+    "/rosout", "/parameter_events", "/tf", ".*parameter", ".*type_description",
+    *(f".*/{name}$" for name in SERVICES),
+)))
+"""Topics and services of rclpy, and those that depend on what is installed and runs."""
 
 
 @pytest.fixture(scope="module")
@@ -166,6 +172,34 @@ def test_wrong_change_is_refused_with_the_reason(controller, name, value, words)
     assert not result.successful
     assert words in result.reason
     assert controller.get_parameter(name).value == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CLASSES)
+def test_values_that_a_node_has_can_be_loaded_again(graph, nodes, name) -> None:
+    names = sorted(nodes[name].list_parameters([], depth=0).names)
+    path = f"/second/{name}"
+    found = graph.call(GetParameters, f"{path}/get_parameters", GetParameters.Request(names=names))
+    dumped = [
+        ParameterMessage(name=one, value=value)
+        for one, value in zip(names, found.values, strict=True)
+    ]
+    kinds = {SetParameters: "set_parameters", SetParametersAtomically: "set_parameters_atomically"}
+    for kind, service in kinds.items():
+        answer = graph.call(kind, f"{path}/{service}", kind.Request(parameters=dumped))
+        results = getattr(answer, "results", None) or [answer.result]
+        assert [one.reason for one in results if not one.successful] == []
+        assert len(results) == (len(names) if kind is SetParameters else 1)
+
+
+@pytest.mark.parametrize("horizon", [8, 8.0])
+def test_other_value_of_a_read_only_parameter_is_refused_by_the_service(
+    graph, controller, horizon
+) -> None:
+    given = [Parameter("horizon", value=horizon).to_parameter_msg()]
+    kind, name = SetParametersAtomically, "/second/controller/set_parameters_atomically"
+    result = graph.call(kind, name, kind.Request(parameters=given)).result
+    assert not result.successful and "read-only" in result.reason
 
 
 def test_change_to_a_strategy_that_cannot_be_loaded_leaves_the_one_in_force(

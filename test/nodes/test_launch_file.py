@@ -215,9 +215,12 @@ def test_namespace_makes_a_complete_robot(namespace, pushed, place) -> None:
     [
         ("plant:=cube", "plant"),
         ("clock:=system use_sim_time:=true", "use_sim_time: given true, expected false"),
-        ("initial_state:=here", "initial_state: given here: could not convert"),
+        *(
+            (f"initial_state:={given}", f"initial_state: given '{given}', expected the numbers X")
+            for given in ("here", "1,2", "1,2,north", "1,2,3,4,5,6,7")
+        ),
         ("initial_state:=1e9,0,0", "initial_state: given 1e9,0,0: position: given"),
-        ("params_file:=none.yaml", "params_file: none.yaml: given 'no such file', expected an ex"),
+        ("params_file:=none.yaml", "params_file: none.yaml: given no such file, expected an ex"),
         ("rvis:=true", "rvis: not an argument; known are strategy, plant"),
     ],
 )

@@ -99,18 +99,15 @@ def test_goal_that_cannot_be_followed_is_rejected_aborted_or_missed(session) -> 
     set_floor(session, "[[-3, -3], [3, -3], [3, 3], [-3, 3]]")
     sent = client.send(outside)
     assert client.wait(sent) == ["aborted"]
-    assert "gives up the goal: it is outside of the floor" in sent.reason
+    told = "the strategy gives up the goal: it is outside of the floor"
+    assert sent.reason == f"goal outside: {told}"
     assert sent.result.result().result.error_code == 204
-    left = sent.feedback[-1].feedback
-    x, y = session.place
-    assert left.distance_remaining == pytest.approx(np.hypot(100.0 - x, 100.0 - y), abs=0.1)
-    assert left.estimated_time_remaining.sec > 100
     sent = client.send(pose(0.4, 0.0), outside, pose(0.0, 0.0), name="follow_waypoints")
     assert client.wait(sent) == ["succeeded"]
     result = sent.result.result().result
     assert [(one.index, one.error_code) for one in result.missed_waypoints] == [(1, 204)]
     aimed_at = [one.feedback.current_waypoint for one in sent.feedback]
-    assert aimed_at == sorted(aimed_at) and set(aimed_at) == {0, 1, 2}
+    assert aimed_at == sorted(aimed_at) and {0, 2} <= set(aimed_at) <= {0, 1, 2}
     set_floor(session, "")
 
 
@@ -161,7 +158,7 @@ def test_killed_navigator_can_be_restarted_while_the_sphere_goes_on(session) -> 
     # As long as the killed one is known it could be another that lives.
     sent = client.send(pose(0.0, 0.0))
     while not sent.is_accepted:
-        told = "rejected: navigators: given '/navigator, /navigator'"
+        told = "rejected: navigators: given /navigator, /navigator"
         assert told in session.log("navigator")
         session.graph.until(lambda: len(client.navigators()) == 1)
         sent = client.send(pose(0.0, 0.0))

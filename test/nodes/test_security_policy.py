@@ -18,6 +18,7 @@ from sphere_nmpc.control.goal_client import NavigatorSettings
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.navigator.node import NavigatorNode
+from sphere_nmpc.ros.navigator.substitutes import ACTIONS, SERVICES
 from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
@@ -29,12 +30,17 @@ RULES = (
     ("services", "reply", "service"), ("services", "request", "client"),
 )
 """Blocks and attributes of the policy, and the name of the same in the ROS graph."""
-SOMETIMES = {"/tf", "/tf_static", "/ground_truth/pose", "/ground_truth/odom"}
-"""Published only where tf2_msgs is installed and a subscription exists, or with odometry."""
 OF_ACTION = {
     "publisher": ("feedback", "status"), "service": ("send_goal", "cancel_goal", "get_result"),
 }
 """What the server of an action opens."""
+SOMETIMES = {
+    "/tf", "/tf_static", "/ground_truth/pose", "/ground_truth/odom",
+    *(f"/{name}" for name in SERVICES),
+    *(f"/{name}/_action/{part}" for name in ACTIONS for part in sum(OF_ACTION.values(), ())),
+}
+"""Opened only where the types are installed (tf2_msgs, all of nav2_msgs), where a subscription
+exists, or with odometry."""
 Rows = dict[str, set[str]]
 """Full names by kind."""
 

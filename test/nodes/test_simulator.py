@@ -324,7 +324,7 @@ def test_map_makes_walls_that_are_touched_once_and_told(graph, capfd, plant) -> 
 
     graph.until(counted)
     lines = [line for line in capfd.readouterr().err.splitlines() if "wall touched" in line]
-    assert len(lines) == 1 and "1 contacts so far" in lines[0]
+    assert len(lines) == 1 and "1 contact so far" in lines[0]
 
 
 def test_change_of_walls_is_answered_when_they_stand_or_refused(graph) -> None:

@@ -161,7 +161,7 @@ def test_floor_is_shown_until_it_is_free_and_an_invalid_one_leaves_it(graph, sou
     invalid.info.width = invalid.info.height = 2
     invalid.info.resolution = 0.5
     floors.publish(invalid)
-    graph.until(lambda: any("floor refused: map: given '0 values'" in it
+    graph.until(lambda: any("floor refused: map: given 0 values" in it
                             for it in newest(source).alerts))
     assert newest(source).floor is floor
     floors.publish(floor_message(None, 2 * 10**9, "world"))

@@ -1,9 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Package nav2_msgs with the actions of the navigator, built where Nav2 is not installed.
+"""Package nav2_msgs with types of the navigator's clients, built where Nav2 is not installed.
 
 The generators, headers and libraries in the ROS wheels make it from the table of fields below,
-with gcc and g++, in about 15 s. It is built once a machine, interpreter and version of this file.
+with gcc and g++, in about 25 s. It is built once a machine, interpreter and version of this file.
 """
 
 import fcntl
@@ -26,29 +26,56 @@ _FEEDBACK = (
     "float32 distance_remaining",
 )
 FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "NavigateToPose": (
+    "NavigateToPose.action": (
         ("geometry_msgs/PoseStamped pose", "string behavior_tree"), _RESULT, _FEEDBACK,
     ),
-    "NavigateThroughPoses": (
+    "NavigateThroughPoses.action": (
         ("geometry_msgs/PoseStamped[] poses", "string behavior_tree"), _RESULT,
         (*_FEEDBACK, "int16 number_of_poses_remaining"),
     ),
-    "FollowWaypoints": (
+    "FollowWaypoints.action": (
         ("uint32 number_of_loops", "uint32 goal_index 0", "geometry_msgs/PoseStamped[] poses"),
         ("uint16 NONE=0", "uint16 UNKNOWN=600", f"{PACKAGE}/MissedWaypoint[] missed_waypoints",
          *_RESULT),
         ("uint32 current_waypoint",),
     ),
+    "ComputePathToPose.action": (
+        ("geometry_msgs/PoseStamped goal", "geometry_msgs/PoseStamped start", "string planner_id",
+         "bool use_start"),
+        ("nav_msgs/Path path", "builtin_interfaces/Duration planning_time", *_RESULT), (),
+    ),
+    "Spin.action": (
+        ("float32 target_yaw", "builtin_interfaces/Duration time_allowance"),
+        ("builtin_interfaces/Duration total_elapsed_time", *_RESULT),
+        ("float32 angular_distance_traveled",),
+    ),
+    "ClearEntireCostmap.srv": (("std_msgs/Empty request",), ("std_msgs/Empty response",)),
+    "GetCostmap.srv": ((f"{PACKAGE}/CostmapMetaData specs",), (f"{PACKAGE}/Costmap map",)),
+    "LoadMap.srv": (
+        ("string map_url",),
+        ("uint8 RESULT_SUCCESS=0", "uint8 RESULT_UNDEFINED_FAILURE=255",
+         "nav_msgs/OccupancyGrid map", "uint8 result"),
+    ),
+    "MissedWaypoint.msg": (
+        ("uint32 index", "geometry_msgs/PoseStamped goal", "uint16 error_code"),
+    ),
+    "Costmap.msg": (
+        ("std_msgs/Header header", f"{PACKAGE}/CostmapMetaData metadata", "uint8[] data"),
+    ),
+    "CostmapMetaData.msg": (
+        ("builtin_interfaces/Time map_load_time", "builtin_interfaces/Time update_time",
+         "string layer", "float32 resolution", "uint32 size_x", "uint32 size_y",
+         "geometry_msgs/Pose origin"),
+    ),
 }
-"""Fields of goal, result and feedback of each action, as in Jazzy."""
-_MISSED_WAYPOINT = "uint32 index\ngeometry_msgs/PoseStamped goal\nuint16 error_code\n"
-"""Fields of the message MissedWaypoint."""
+"""Fields of each part of the types, as in Jazzy, which are some of those of nav2_msgs."""
 _USED = (
     "builtin_interfaces", "unique_identifier_msgs", "service_msgs", "std_msgs", "geometry_msgs",
-    "action_msgs",
+    "nav_msgs", "action_msgs",
 )
-"""Packages whose messages are part of actions."""
+"""Packages whose messages are part of the types, and of actions."""
 _BUILT = "built"
+_KINDS = ("action", "msg", "srv")
 _TYPES_C, _TYPES_PY = "rosidl_generator_c", "rosidl_generator_py"
 _INTROSPECTION, _FASTRTPS = "rosidl_typesupport_introspection_c", "rosidl_typesupport_fastrtps_c"
 _DISPATCH = "rosidl_typesupport_c"
@@ -112,7 +139,7 @@ def _build(work: Path) -> None:
     package.mkdir(parents=True)
     (package / "__init__.py").write_text(_INIT)
     python_types = work / _TYPES_PY / PACKAGE
-    for kind in ("action", "msg"):
+    for kind in _KINDS:
         (package / kind).mkdir()
         for module in python_types.glob(f"{kind}/*.py"):
             module.rename(package / kind / module.name)
@@ -129,8 +156,7 @@ def _build(work: Path) -> None:
 
 def _generate(work: Path) -> None:
     from ament_index_python import get_package_share_directory
-    from rosidl_adapter.action import convert_action_to_idl
-    from rosidl_adapter.msg import convert_msg_to_idl
+    from rosidl_adapter import convert_to_idl
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
     from rosidl_generator_type_description.cli import HashTypeDescription
@@ -140,18 +166,15 @@ def _generate(work: Path) -> None:
 
     include = [get_package_share_directory(package) for package in _USED]
     source = work / "source"
-    (source / "action").mkdir(parents=True)
-    (source / "msg").mkdir()
-    message = Path("msg", "MissedWaypoint.msg")
-    (source / message).write_text(_MISSED_WAYPOINT)
-    convert_msg_to_idl(source, PACKAGE, message, source / "msg")
-    descriptions = [f"{source}:{message.with_suffix('.idl')}"]
+    for kind in _KINDS:
+        (source / kind).mkdir(parents=True)
+    descriptions = []
     for name, parts in FIELDS.items():
-        action = Path("action", f"{name}.action")
+        interface = Path(Path(name).suffix[1:], name)
         text = "\n---\n".join("\n".join(fields) for fields in parts)
-        (source / action).write_text(text + "\n")
-        convert_action_to_idl(source, PACKAGE, action, source / action.parent)
-        descriptions.append(f"{source}:{action.with_suffix('.idl')}")
+        (source / interface).write_text(text + "\n")
+        convert_to_idl(source, PACKAGE, interface, source)
+        descriptions.append(f"{source}:{interface.with_suffix('.idl')}")
     hashes = HashTypeDescription("hash").generate_type_hashes(
         PACKAGE, descriptions, include, work / "hashes"
     )

@@ -2,10 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults are logged at a limited rate, all of them counted, and foreign text in one line."""
 
+import numpy as np
 import pytest
 
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
-from sphere_nmpc.foreign_text import LONGEST, LONGEST_LINE, printable_line, shown
+from sphere_nmpc.foreign_text import LONGEST, LONGEST_LINE, Description, printable_line, shown
+
+
+def test_numbers_of_numpy_are_shown_as_others_and_descriptions_as_they_are() -> None:
+    given = [np.float64("nan"), (np.int64(3), np.bool_(True)), "a", 0.5]
+    assert shown(given) == "[nan, (3, True), 'a', 0.5]"
+    assert shown(np.float64(2.0)) == "2.0"
+    assert len(shown(list(np.zeros(10**5)))) == LONGEST
+    assert shown(Description("no such file")) == "no such file"
+    assert shown(Description("a\x1b[31m\n")) == "a\\x1b[31m\\n"
+    assert len(shown(Description("a" * 1000))) == LONGEST
 
 
 def test_fault_is_logged_immediately_then_with_a_count() -> None:

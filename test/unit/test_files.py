@@ -31,12 +31,12 @@ def test_regular_file_is_read_whole_and_no_other_one(tmp_path) -> None:
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "socket"))
         for path, longest, told in (
-            (tmp_path / "large", 9, "given '1000000000000 bytes', expected at most 9 "),
-            (kernel, 5, "given 'a file that grows', expected at most 5"),
-            (tmp_path / "pipe", 10**6, "given 'a pipe', expected a regular"),
-            (tmp_path / "socket", 10**6, "given 'a socket', expected a regular"),
-            (Path("/dev/zero"), 10**6, "given 'a device', expected a regular"),
-            (tmp_path, 10**6, "given 'a folder', expected a regular"),
+            (tmp_path / "large", 9, "given 1000000000000 bytes, expected at most 9 "),
+            (kernel, 5, "given a file that grows, expected at most 5"),
+            (tmp_path / "pipe", 10**6, "given a pipe, expected a regular"),
+            (tmp_path / "socket", 10**6, "given a socket, expected a regular"),
+            (Path("/dev/zero"), 10**6, "given a device, expected a regular"),
+            (tmp_path, 10**6, "given a folder, expected a regular"),
         ):
             with pytest.raises(InvalidFileError, match=told):
                 read_file(path, longest)
@@ -72,10 +72,10 @@ def test_relative_path_is_found_in_the_working_directory_before_the_share_folder
 
 def test_path_that_is_not_found_says_where_was_looked(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    told = re.escape("none.yaml: given 'no such file', expected an existing file")
+    told = re.escape("none.yaml: given no such file, expected an existing file at")
     for path, expected in (
-        ("none.yaml", rf"^{told}, {re.escape(str(tmp_path))}/none\.yaml or /.*/none\.yaml$"),
-        ("/none.yaml", r"expected an existing file, /none\.yaml$"),
+        ("none.yaml", rf"^{told} {re.escape(str(tmp_path))}/none\.yaml or /.*/none\.yaml$"),
+        ("/none.yaml", r"expected an existing file at /none\.yaml$"),
     ):
         with pytest.raises(InvalidFileError, match=expected):
             find_file(Path(path))

@@ -15,15 +15,14 @@ from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import (
+    MOST_GOALS,
     framed_point_from_ros,
     framed_pose_from_ros,
     framed_poses_from_ros,
     stamp_from_ros,
 )
 
-_MOST = 500
-"""Goals of a list, which take some 30 ms to be read."""
-_LARGEST = 200 * _MOST, f"{_MOST} goals"
+_LARGEST = 200 * MOST_GOALS, f"{MOST_GOALS} goals"
 """Size of the largest message [bytes]: each has 80 without the name of its frame."""
 
 
@@ -88,8 +87,6 @@ class GoalReceiver:
     def _list(self, message: Any) -> tuple[Goal, ...]:
         """Return the goals of a list."""
         if not message.goals:
-            raise InvalidStateError("goals", "an empty list", "one pose or more; ~/cancel stops")
-        if len(message.goals) > _MOST:
-            raise InvalidStateError("goals", f"{len(message.goals)} goals", f"at most {_MOST}")
+            raise InvalidStateError("goals", [], "one pose or more; ~/cancel stops")
         poses = framed_poses_from_ros(message.goals, message.header.frame_id, self._frame)
         return tuple(Goal(pose, Orientation(self._orientation())) for pose in poses)

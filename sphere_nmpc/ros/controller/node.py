@@ -174,7 +174,10 @@ class ControllerNode(ClockedNode):
         clock = self._control_clock
         now, watch = clock.now(), clock.watch
         jump = 0.0 if watch.is_steady else watch.step
-        self._monitor.stamps.deviation = self.controller.estimator.stamp_deviation
+        if now is not None:
+            has_goal = self.controller.goal_sequence is not None  # else nothing is to move
+            deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
+            self._monitor.stamps.moved(now, deviation)
         self._monitor.check(
             now, clock.simulated, jump, self._settings.pose_timeout, self._floor_receiver.faults(),
             (self._reports.ticks, self._schedule.missed, self._period),

@@ -227,7 +227,7 @@ class ControllerReports:
         self._warnings = warnings = self._find_warnings(decision)
         self._lasting.update({one.name: one.text for one in warnings} if solved else {})
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
-        self._plan_message = plan.message or plan.status.value
+        self._plan_message = _in_words(mode, plan.message)
         self._publish_status(mode, warnings, self._plan_message, self._values)
         self._eta.publish(Float64(data=float(self._values["time_left_s"])))
         # Making the path takes as long as a plan.
@@ -297,6 +297,12 @@ class ControllerReports:
             return max(mode.severity, found[0].kind.severity), found[0].name, values
         at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
         return mode.severity, f"{mode.value}{at}", values
+
+
+def _in_words(mode: Kind, about_plan: str) -> str:
+    """Return the message of a status without a warning: its mode, and what is said of the plan."""
+    is_all = mode is Kind.AT_GOAL or about_plan in ("", mode.value)
+    return mode.value if is_all else f"{mode.value}: {about_plan}"
 
 
 def _percentiles(times: Recent) -> tuple[float, float, float]:

@@ -4,9 +4,10 @@
 
 actions     navigate_to_pose, navigate_through_poses, follow_waypoints
 services    bt_navigator/get_state, amcl/get_state
-subscribes  pose, controller/status
+subscribes  pose, controller/status, controller/floor
 publishes   goals, amcl_pose
 requests    controller/cancel
+What else clients of Nav2 ask for is in `sphere_nmpc.ros.navigator.substitutes`.
 """
 
 import time
@@ -24,7 +25,8 @@ from rclpy.parameter import Parameter
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.quantity import NANOSECONDS, counted
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode
@@ -37,12 +39,13 @@ from sphere_nmpc.ros.navigator.requests import (
     result_of,
     stages_of,
 )
+from sphere_nmpc.ros.navigator.substitutes import Substitutes
 from sphere_nmpc.ros.settings import FrameSettings
 
 _PERIOD = 0.1
 """Wall time between two messages of feedback [s]."""
 _LOOK_EVERY = 1.0
-"""Wall time between two looks for another navigator [s]."""
+"""Wall time between two looks for another navigator, or other servers of Nav2 [s]."""
 _OFFERED = "navigate_to_pose/_action/status"
 """Topic that each navigator publishes, those of Nav2 as well."""
 _LAST = 0.5
@@ -97,6 +100,7 @@ class NavigatorNode(GuardedNode):
             GoalServer(self, kind, name, self._check, self._begin, self._cancel)
             for name, kind in types.items()
         ]
+        self._substitutes = Substitutes(self)
         # What clients of Nav2 wait for before they send a goal.
         self._located = self.create_publisher(PoseWithCovarianceStamped, "amcl_pose", LATCHED)
         self._offer_state("amcl", lambda: self._pose is not None)
@@ -115,6 +119,7 @@ class NavigatorNode(GuardedNode):
 
     def destroy_node(self) -> None:
         """Destroy the action servers and the node."""
+        self._substitutes.destroy()
         for server in self._servers:
             server.destroy()
         super().destroy_node()
@@ -124,14 +129,14 @@ class NavigatorNode(GuardedNode):
             raise SphereNmpcError("the navigator ends")
         # Each would take the goal, and see that of the other take over.
         if len(names := self._navigators()) > 1:
-            raise InvalidInputError("navigators", names_of(names), "one")
+            raise InvalidInputError("navigators", Description(names_of(names)), "one")
         stages_of(request, self._frame)
 
     def _begin(self, server: GoalServer, handle: ServerGoalHandle) -> None:
         stages, key = stages_of(handle.request, self._frame), bytes(handle.goal_id.uuid)
         accepted = _Accepted(server, handle, stages, self.get_clock().now().nanoseconds)
         self._goals[key] = accepted
-        self._event_log.report("goal", f"{sum(len(stage.goals) for stage in stages)} poses")
+        self._event_log.report("goal", counted(sum(len(one.goals) for one in stages), "pose"))
         is_route = hasattr(handle.request, "number_of_loops")
         self._link.begin(key, accepted.messages(), self._waypoint_pause if is_route else 0.0)
 
@@ -168,10 +173,12 @@ class NavigatorNode(GuardedNode):
         return self._graph.publishers(self.resolve_topic_name(_OFFERED), GoalStatusArray)
 
     def _look(self) -> None:
-        effect = "goals are rejected meanwhile"
+        effect, navigators = "goals are rejected meanwhile", self._navigators()
         self._graph.update(several_publishers(
-            self.resolve_topic_name(_OFFERED), self._navigators(), effect
+            self.resolve_topic_name(_OFFERED), navigators, effect
         ))
+        if len(navigators) == 1:  # two would give way to each other
+            self._substitutes.update()
 
     def _offer_state(self, name: str, is_active: Callable[[], bool]) -> None:
         """Offer the state of a node of Nav2 whose part this one has."""

@@ -197,7 +197,7 @@ class Following:
         rests = np.tile(own.states[-1], (hold.times.size - len(own.states), 1))
         return replace(
             plan, hold=hold, states=np.vstack((own.states, rests)), cost=own.error**2,
-            message=f"arrives in {own.duration:.2f} s, {own.error:.1e} off",
+            message=f"a motion of {own.duration:.2f} s",
             beyond=way_of_time(own.remaining_time, situation, max_speed) if self.is_part else 0.0,
         )
 

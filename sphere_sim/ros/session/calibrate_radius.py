@@ -12,6 +12,7 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.rolled_radius import rolled_radius
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.ros import cdr
 from sphere_sim.output.arguments import positive
 
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A simulator whose time stands still repeats its messages.
     poses = [pose for i, pose in enumerate(seen) if not i or pose.stamp > seen[i - 1].stamp]
     if not poses:
-        raise InvalidInputError(_TOPIC, "no message", "those of the odometry")
+        raise InvalidInputError(_TOPIC, Description("no message"), "those of the odometry")
     times = np.array([cdr.seconds(pose.stamp, poses[0].stamp) for pose in poses])
     numbers = np.array([pose.numbers[:3] for pose in poses])
     before = float(numbers[0, 2])  # the height of the centre

@@ -12,6 +12,7 @@ import numpy as np
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
+from sphere_nmpc.quantity import counted
 from sphere_nmpc.ros.goal_link import GoalMessage
 from sphere_sim.output.arguments import finite, not_negative
 from sphere_sim.ros.session.goal_messages import (
@@ -79,7 +80,8 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
         goals = [_first(parser, given)]
         for numbers in given.then:
             if len(numbers) not in (2, 3):
-                parser.error(f"--then: given {len(numbers)} numbers, expected X Y or X Y YAW")
+                found = counted(len(numbers), "number")
+                parser.error(f"--then: given {found}, expected X Y or X Y YAW")
             turn = _UPRIGHT
             if len(numbers) == 3:
                 turn = _about_vertical(parser, "--then", numbers[2], given.degrees)
@@ -138,7 +140,8 @@ def _first(parser: argparse.ArgumentParser, given: argparse.Namespace) -> Vector
             parser.error("--case brings its own position")
         return PAPER_CASES[given.case].goal
     if len(given.position) != 2:
-        parser.error(f"expected a position X Y [m], given {len(given.position)} numbers")
+        found = counted(len(given.position), "number")
+        parser.error(f"given {found}, expected a position X Y [m]")
     if given.yaw is not None:
         turn = _about_vertical(parser, "--yaw", given.yaw, given.degrees)
         return make_state(given.position, turn)

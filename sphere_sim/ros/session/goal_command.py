@@ -58,7 +58,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _outcome(request: GoalRequest, sender: GoalSender) -> str:
     """Send the goals and wait for what is requested; return what has come of them."""
-    sender.wait_for_controller(request.timeout)
+    sender.wait_for_controller(
+        request.timeout, lambda line: print(f"{request}: {line}", file=sys.stderr, flush=True)
+    )
     sender.send(request.message, _ANSWER_TIMEOUT, until_taken=not request.wait)
     if request.wait:
         # Only here, as the display needs another package.

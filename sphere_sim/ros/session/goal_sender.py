@@ -11,6 +11,7 @@ from rclpy.node import Node
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.quantity import counted
 from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
 from sphere_nmpc.ros.graph_monitor import type_name
 from sphere_sim.ros.session.serving import serve_until
@@ -20,6 +21,8 @@ _REMEDIES = {
     Kind.CLOCK_STOPPED.value: ("simulator/pause", "false"),
 }
 """Service that ends a state of the controller, and what to send to it."""
+_MOMENT = 1.0
+"""Wait for a controller of which nothing is told [s]."""
 
 
 class GoalNotAcceptedError(SphereNmpcError):
@@ -39,19 +42,29 @@ class GoalSender(GoalLink):
         self._node, self._serve, self._number = node, spin, 0
         self._publisher, self._topic = self.publishers[kind], self.subscription.topic_name
 
-    def wait_for_controller(self, timeout: float) -> None:
+    def wait_for_controller(
+        self, timeout: float, tell: Callable[[str], object] = lambda line: None
+    ) -> None:
         """Wait until the controller is matched, and every other subscriber of the goal.
 
-        `GoalNotAcceptedError` is raised if that does not happen within `timeout` [s].
+        `tell` takes a line where that takes longer than a moment. `GoalNotAcceptedError` is raised
+        if it does not happen within `timeout` [s].
         """
-        if not serve_until(self._serve, self._is_matched, timeout):
+        moment = min(_MOMENT, timeout)
+        if serve_until(self._serve, self._is_matched, moment):
+            return
+        tell(f"waiting up to {timeout:g} s for a controller: {self._found()}")
+        if not serve_until(self._serve, self._is_matched, timeout - moment):
             raise GoalNotAcceptedError(
-                f"no controller was ready within {timeout:g} s: "
-                f"{self._publisher.get_subscription_count()} subscribers of "
-                f"{self._publisher.topic_name}, {self.subscription.get_publisher_count()} "
-                f"publishers of {self._topic}; is one running in this namespace "
-                "and domain?"
+                f"no controller was ready within {timeout:g} s: {self._found()}; is one running "
+                "in this namespace and domain?"
             )
+
+    def _found(self) -> str:
+        """Return how many others have been found on the topics."""
+        takers = counted(self._publisher.get_subscription_count(), "subscriber")
+        sources = counted(self.subscription.get_publisher_count(), "publisher")
+        return f"{takers} of {self._publisher.topic_name}, {sources} of {self._topic}"
 
     def send(self, message: GoalMessage, timeout: float, until_taken: bool = True) -> None:
         """Send goals and wait for them to be in force, at most `timeout` [s].

@@ -27,7 +27,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantity import NANOSECONDS, counted
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
@@ -265,7 +265,7 @@ class SimulatorNode(GuardedNode):
             x, y = self.simulator.plant.state[POSITION]
             self._fault_log.report(
                 "wall touched", f"by the sphere at [{x:.3f}, {y:.3f}] m, t = "
-                f"{self.simulator.time:.3f} s; {touches} contacts so far",
+                f"{self.simulator.time:.3f} s; {counted(touches, 'contact')} so far",
             )
 
     def _surround(self, walls: Walls | None) -> None:

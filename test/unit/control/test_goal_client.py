@@ -16,7 +16,7 @@ from sphere_nmpc.quantity import stamp_text
 SETTINGS = NavigatorSettings(controller_timeout=5.0, no_progress_timeout=20.0)
 STEP = 0.1  # s
 FOREIGN = "7.000000000"
-GIVEN_UP = "no progress towards the goal: it is occupied"
+GIVEN_UP = "no progress towards the goal: a wall"
 NEWER, OTHER = "a newer goal has taken over", "another goal has taken over"
 
 
@@ -140,8 +140,8 @@ class World:
         stands = self.mode is Kind.NO_PROGRESS
         self.client.receive(GoalReport(
             self.in_force, 0, 1, self.mode.value, self.moves == 0.0, self.plans,
-            unreachable="goal occupied" if stands and self.is_final else "",
-            obstacle="it is occupied" if stands else "", time_left=self.moves,
+            unreachable="no way" if stands and self.is_final else "",
+            obstacle="a wall" if stands else "", time_left=self.moves,
         ), self._clock)
         self._update()
 
@@ -295,7 +295,7 @@ def test_stage_that_cannot_be_reached_is_missed_and_the_next_one_sent(missed) ->
     world = World()
     world.play(f"occupied {missed}", "stages A", 15.0)
     stages = [int(stage) - 1 for stage in missed.split("+")]
-    assert world.missed == {"A": [(stage, "goal occupied") for stage in stages]}
+    assert world.missed == {"A": [(stage, "no way") for stage in stages]}
     expected = (FAILED, GIVEN_UP) if len(stages) == 3 else (DONE, f"{len(stages)} of 3 missed")
     assert world.ended["A"][1:] == expected
     assert (world.in_force == "") is (2 in stages), "what was missed is not followed later"

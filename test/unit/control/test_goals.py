@@ -88,7 +88,7 @@ def test_status_of_a_controller_that_has_not_planned_yet_is_read() -> None:
     }
     assert GoalReport.of(VALUES | more) == GoalReport(
         "7.000000001", 1, 2, "at the goal", True, 3, 4.0, 0.5, 0.1, 1.5, 0.25, "no way",
-        "the goal",
+        "the strategy gives up the goal",
     )
     assert math.isnan(GoalReport.of(VALUES | {"distance_left_m": "1e300"}).distance_left)
     for wrong in (
@@ -98,16 +98,19 @@ def test_status_of_a_controller_that_has_not_planned_yet_is_read() -> None:
             GoalReport.of(wrong)
 
 
-@pytest.mark.parametrize("unreachable", ["", "goal outside"])
+@pytest.mark.parametrize("unreachable", ["", "no way", "goal outside"])
 @pytest.mark.parametrize("mode", Kind)
 def test_patience_ends_in_each_mode_but_those_in_which_the_goal_is_pursued(
     mode, unreachable
 ) -> None:
     report = GoalReport("1.0", mode=mode.value, obstacle="why", unreachable=unreachable)
     patience = Patience(10.0)
-    is_pursued = mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL)
-    at_once = mode is Kind.DISABLED or (mode is Kind.NO_PROGRESS and bool(unreachable))
-    assert patience.exhausted(report, 0.0) == (f"{mode.value}: why" if at_once else "")
+    is_refused = unreachable == "goal outside"
+    is_pursued = mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL) and not is_refused
+    stands = mode is Kind.NO_PROGRESS and bool(unreachable)
+    at_once = is_refused or mode is Kind.DISABLED or stands
+    told = f"{unreachable if is_refused else mode.value}: why"
+    assert patience.exhausted(report, 0.0) == (told if at_once else "")
     assert bool(patience.exhausted(report, 9.0)) is at_once
     assert bool(patience.exhausted(report, 11.0)) is not is_pursued
     patience.exhausted(GoalReport("1.0", mode=Kind.TRACKING.value), 12.0)

@@ -79,9 +79,19 @@ def test_pose_elsewhere_is_left_out_until_a_second_one_is_there(
 )
 def test_stamps_are_told_for_what_they_are(stamps, deviation, moves, told) -> None:
     watch = StampWatch()
-    watch.deviation = deviation
+    for time in (0.0, 3.5):
+        watch.moved(time, deviation)
     for k, stamp in enumerate(stamps):
         watch.received(stamp, shifted(0.01 * k * moves))
     found = watch.fault()
     assert (found is not None) == bool(told)
     assert found is None or told in found.text
+
+
+def test_stamps_that_look_late_for_a_moment_are_not_told() -> None:
+    watch = StampWatch()
+    for time, deviation in ((1.0, 0.03), (1.8, 0.03), (2.0, 0.0), (4.9, 0.03), (0.5, 0.03)):
+        watch.moved(time, deviation)
+        assert watch.fault() is None, time
+    watch.moved(3.6, 0.03)
+    assert watch.fault() is not None

@@ -24,7 +24,7 @@ def test_radius_makes_the_estimated_way_as_long_as_the_measured_one() -> None:
     (STRAIGHT[101:], TIMES[101:], "start of the way"),
     (STRAIGHT[:-102], TIMES[:-102], "end of the way"),
     (STRAIGHT[:50], TIMES[:50], "start of the way"),
-    (0.3 * STRAIGHT, TIMES, "estimated way: given '0.9300 m'"),
+    (0.3 * STRAIGHT, TIMES, "estimated way: given 0.9300 m"),
     (np.column_stack((WAY, np.sin(WAY))), TIMES, "path: given"),
 ])
 def test_way_that_is_no_measure_is_refused(places, times, told) -> None:

@@ -72,7 +72,7 @@ def test_measure_of_a_straight_run() -> None:
     states[:, 0] = np.maximum(0.0, 5.0 - times)
     states[:, 2] = -1.0  # the other quaternion of the same orientation
     speeds = np.array([[1.0, -90.0], [np.nan, 3.0]])
-    goal, solves = Goal(GOAL), np.array([0.001, 0.003])
+    goal, solves = Goal(GOAL), np.array([0.001, 0.0, 0.003, np.nan, 0.0, 0.0])
     metrics = measure(times, states, goal, speeds, np.empty((0, 2)), solves)
     assert metrics.settled and metrics.settle_time_s == pytest.approx(5.0)
     assert metrics.final_error == 0.0

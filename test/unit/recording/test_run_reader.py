@@ -314,7 +314,7 @@ def test_floor_is_in_force_from_its_time_until_it_is_free(read) -> None:
                another(3, width=2**31), another(3, width=39), another(3, height=0)]
     run = read(in_order(*entries, *invalid, free))
     assert (
-        "/controller/floor: 8 invalid floors were ignored; map: given 'a resolution of 1e-30 m', "
+        "/controller/floor: 8 invalid floors were ignored; map: given a resolution of 1e-30 m, "
         "expected a positive number, 0.0001 or more"
     ) in run.notes
     assert run.floors.at(-0.1) is None and run.floors.at(3.0) is None

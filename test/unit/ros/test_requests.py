@@ -85,6 +85,18 @@ def test_waypoints_are_sent_one_after_the_other() -> None:
             stages_of(SimpleNamespace(poses=empty, behavior_tree=""), "world")
 
 
+def test_more_poses_than_the_controller_takes_are_refused_whatever_they_are() -> None:
+    for poses in (500, 501):
+        many = [stamped(POSES[0])] * poses
+        for about in ({"behavior_tree": ""}, {"number_of_loops": 0, "goal_index": 0}):
+            request = SimpleNamespace(poses=many, **about)
+            if poses == 500:
+                assert sum(len(stage.goals) for stage in stages_of(request, "world")) == 500
+                continue
+            with pytest.raises(InvalidValueError, match="given 501 goals, expected at most 500"):
+                stages_of(request, "world")
+
+
 def test_feedback_has_what_is_left_of_all_as_far_as_it_is_known(kinds) -> None:
     report = GoalReport("", 2, 3, total_time_left=1.25, total_distance_left=2.5)
     kind = kinds["navigate_through_poses"]

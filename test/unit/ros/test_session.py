@@ -53,7 +53,7 @@ def test_arguments_name_goals_which_are_sent_in_order(arguments, kind, goals, to
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["1"], "given 1 numbers"),
+        (["1"], "given 1 number, expected a position X Y [m]"),
         (["1", "2", "--case", "1"], "--case brings its own"),
         (["1", "2", "--quaternion", "1", "1", "0", "0"], "norm 1.41421"),
         (["1", "2", "--yaw", "90"], "--yaw: given 90 rad, expected -6.283 to 6.283; --degrees"),
@@ -64,7 +64,7 @@ def test_arguments_name_goals_which_are_sent_in_order(arguments, kind, goals, to
         (["1", "2", "--timeout", "inf"], "--timeout: given inf, expected a number from 0 on"),
         (["1", "2", "--timeout", "-1"], "--timeout: given -1, expected a number from 0 on"),
         (["1", "2", "--degrees"], "--degrees: given without --yaw"),
-        (["1", "2", "--then", "3"], "--then: given 1 numbers, expected X Y or X Y YAW"),
+        (["1", "2", "--then", "3"], "--then: given 1 number, expected X Y or X Y YAW"),
         (["1", "2", "--then", "3", "4", "90"], "--then: given 90 rad"),
         (["1", "2", "--then", "3", "nan"], "--then: given nan, expected a finite number"),
         (["1", "2", "--point", "--then", "3", "4"], "--point: given with further goals"),

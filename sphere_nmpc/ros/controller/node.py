@@ -175,7 +175,8 @@ class ControllerNode(ClockedNode):
         jump = 0.0 if watch.is_steady else watch.step
         self._monitor.stamps.deviation = self.controller.estimator.stamp_deviation
         self._monitor.check(
-            now, clock.simulated, jump, self._settings.pose_timeout, self._floor_receiver.faults(),
+            now, clock.simulated, jump, self._settings.pose_timeout,
+            (*self.controller.faults, *self._floor_receiver.faults()),
             (self._reports.ticks, self._schedule.missed, self._period),
         )
         self._reports.update()

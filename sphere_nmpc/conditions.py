@@ -77,6 +77,8 @@ class Kind(Enum):
     ROTORS_NEAR_LIMIT = "rotors near their limit", WARN
     CONTROLLER_FAILED = "controller failed", WARN
     POSE_LEFT_OUT = "pose left out", WARN
+    SPEEDS_CONTRADICTED = "rotor speeds contradicted", WARN
+    OTHER_ROBOT = "other robot", WARN
 
     CALIBRATING = "calibrating at rest", STALE
     IMU_SILENT = "no IMU", ERROR

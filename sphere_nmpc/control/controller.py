@@ -151,6 +151,12 @@ class Controller:
         return self._estimator
 
     @property
+    def faults(self) -> tuple[Condition, ...]:
+        """Present faults of what the controller was given: rotor speeds, and the robot."""
+        found = self.rotor_feedback.condition, self._estimator.condition
+        return tuple(one for one in found if one is not None)
+
+    @property
     def at_goal(self) -> bool:
         """Whether the error has been within tolerance for a sample period, at the last goal."""
         return self._arrival.reached

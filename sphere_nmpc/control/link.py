@@ -11,6 +11,7 @@ from collections import deque
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.recent import RECENT, Recent
 from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.posterior import SHARE_STEP
@@ -169,7 +170,7 @@ class RotorFeedback:
     late or lost on its way is taken neither for another plant nor for momentum. From the delays
     follows the commitment window: how far ahead a new plan may first differ from the one in force.
     Commands are expected to be at least as late as poses, and without measured speeds to be lost
-    as often.
+    as often. Measured speeds that the motion contradicts are not used.
 
     Times are control times [s].
 
@@ -208,19 +209,33 @@ class RotorFeedback:
     @property
     def window(self) -> float:
         """Delay that commands may have without being late [s]; 0 without a link."""
-        late, delay = max(self._delays, default=0.0), self.poses.delay
+        late = 0.0 if self._sent.contradicted else max(self._delays, default=0.0)
+        delay = self.poses.delay
         return min(max(late, delay if delay > _LEAST_DELAY else 0.0), LONGEST_WINDOW)
 
     @property
     def loss(self) -> float:
         """Share of the newest commands that did not take effect before the next one."""
-        loss = self._losses.mean if self._is_measured else self.poses.loss
+        is_measured = self._is_measured and not self._sent.contradicted
+        loss = self._losses.mean if is_measured else self.poses.loss
         return 0.0 if math.isnan(loss) else loss
 
     @property
     def is_needed(self) -> bool:
         """Whether measured speeds are of use: not where all commands take effect in time."""
-        return self._known < RECENT or self.shows_link
+        return self._known < RECENT or self.shows_link or self._sent.contradicted
+
+    @property
+    def condition(self) -> Condition | None:
+        """The warning about measured speeds that are not used; None without one."""
+        if not self._sent.contradicted:
+            return None
+        return Condition(
+            Kind.SPEEDS_CONTRADICTED, "given speeds in joint_states by which the sphere would not "
+            "have moved as its poses show, while the commands explain it, expected those of the "
+            "rotors [rad/s] when they were measured; they are left out: are they always 0, in "
+            "another unit, or stamped late?",
+        )
 
     @property
     def shows_link(self) -> bool:
@@ -258,6 +273,8 @@ class RotorFeedback:
             self._overdue(due, time)
             return
         is_late = self._waiting[best][1] or bool(self._between)
+        if errors[best] <= _DISTINCT < float(np.max(np.abs(speeds))):
+            self._sent.confirm()
         if errors[best] > _DISTINCT:
             self._between.append((time, speeds))
             if not is_late:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import (
@@ -30,6 +31,12 @@ from sphere_nmpc.worker.contract import Reply, Store, Worker
 from sphere_nmpc.worker.in_line import InLine
 
 _KEY = "estimator"
+_NAMES = ("shell_radius", " m"), ("c1", ""), ("r1", ""), ("r3", "")
+_OTHER = 0.2
+"""Difference of a learnt constant from that given, relative to it, above which the robot is taken
+for another one [-]: what the prior expects of sizes and masses."""
+_DEVIATIONS = 3.0
+"""Standard deviations of a learnt constant that are not counted."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -121,6 +128,26 @@ class Estimator:
     def disturbance(self) -> Disturbance:
         """Slope and imbalance as estimated so far."""
         return self._filter.disturbance
+
+    @property
+    def condition(self) -> Condition | None:
+        """The warning about a constant that the motion shows to be another; None without one.
+
+        It is that which is farthest from what was given, by more than its uncertainty, whether or
+        not learning is on.
+        """
+        scaling = self._scaling
+        given, learnt = scaling.nominal.as_array(), scaling.constants(self._result.common)
+        off = np.abs(learnt - given) / given - _DEVIATIONS * self._plant.deviations / given
+        worst = int(np.argmax(off))
+        if off[worst] < _OTHER:
+            return None
+        name, unit = _NAMES[worst]
+        return Condition(
+            Kind.OTHER_ROBOT, f"given {name} = {given[worst]:.3g}{unit}, and the motion shows "
+            f"{learnt[worst]:.3g}{unit}, expected at most {100.0 * _OTHER:.0f} % from it: was the "
+            "params_file with the robot given to all nodes?",
+        )
 
     @property
     def stamp_deviation(self) -> float:
@@ -265,9 +292,28 @@ class Estimator:
             return False
         end, interval = poses[until[0]], None
         if end.time - knot.time <= numbers.longest:
+            self._judge(knot, end)
             within = poses[: until[0]] if self._filter.is_noisy else []
             interval = self._interval(knot.time, within, end)
         return self._submit(interval, end)
+
+    def _judge(self, start: MeasuredPose, end: MeasuredPose) -> None:
+        """Compare the motion between two poses with the speeds sent and with those measured.
+
+        What was learnt from measured speeds that turn out to be wrong is dropped.
+        """
+        sent, numbers, lag = self._sent, self._numbers, self._plant.lag
+        as_sent, as_corrected = sent.both_pieces(start.time - lag, end.time - lag)
+        if not all(map(np.array_equal, as_sent, as_corrected)):
+            found = [self._filter.deviation(start, end, *one) for one in (as_sent, as_corrected)]
+        elif sent.contradicted and as_sent[1].any():
+            found = [0.0, 0.0]
+        else:
+            return
+        was_believed = sent.believes_measured
+        sent.judge(found[0], found[1], numbers.improbable)
+        if was_believed and not sent.believes_measured:
+            self._begin(Posterior.initial(self._settings.drive_lag, self._scaling))
 
     def _interval(self, since: float, within: list[MeasuredPose], end: MeasuredPose) -> Interval:
         """Return the interval from `since` [s] to a pose, with some of those within it."""

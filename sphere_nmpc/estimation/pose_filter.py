@@ -220,6 +220,24 @@ class PoseFilter:
         covariance = found.covariance[:5, :5] if self.is_noisy else None
         return Estimate(found.state, self._plant, covariance, self.disturbance)
 
+    def deviation(
+        self, start: MeasuredPose, end: MeasuredPose, durations: Vector, speeds: Vector
+    ) -> float:
+        """Return how far a pose is from its prediction by rotor speeds from an earlier one.
+
+        That is the normalised square of the innovation; the speeds are given as in
+        `SentInputs.pieces`.
+        """
+        state, scaling = np.concatenate((start.pose, self._anchor.state[MOMENTUM])), self._scaling
+        given = durations, self._constants, self._max_step, self.disturbance
+        found = error_between(roll_out(state, speeds, *given)[-1][POSE], end.pose)
+        motion, noise = error_between(start.pose, end.pose), self._pose_noise
+        variances = scaling.pose_variance(noise.pose, self._pose_deviations)
+        variances += np.square(noise.time / (end.time - start.time) * motion)
+        turned = float(np.linalg.norm(motion[2:5]))
+        predicted = noise_variance(turned, scaling.numbers) * self._noise_scale
+        return float(np.sum(np.square(found) / (2.0 * variances + predicted)))
+
     def _place(self, time: float) -> int:
         """Return the index of the first pose at `time` [s] or later."""
         return bisect_left(self.poses, time, key=lambda one: one.time)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -19,48 +20,92 @@ speeds none are awaited."""
 class SentInputs:
     """Holds in the order in which they took effect; each lasts until the next one.
 
+    They are kept as they were sent, and as measured rotor speeds correct them. What is read is the
+    former, until these speeds have followed a command, or poses show that they explain the motion
+    better; where poses show the opposite it is the former again, see `judge`.
+
     Times are control times [s].
     """
 
     def __init__(self) -> None:
-        self._holds: deque[FirstOrderHold] = deque(maxlen=_KEPT)
+        self._sent: deque[FirstOrderHold] = deque(maxlen=_KEPT)
+        self._corrected: deque[FirstOrderHold] = deque(maxlen=_KEPT)
+        self._holds = self._sent
+        self._doubt = 0.0
+        """-2 log of the odds of the corrections, from surely right (negative) to surely wrong."""
+        self.contradicted = False
+        """Whether the motion contradicts the measured rotor speeds."""
         self.known_until = float("-inf")
         """Time of the newest measured rotor speeds that confirmed or corrected the holds [s]."""
 
     def clear(self) -> None:
         """Discard all holds; the rotors count as at rest."""
-        self._holds.clear()
+        self._sent.clear()
+        self._corrected.clear()
         self.known_until = float("-inf")
 
     def record(self, hold: FirstOrderHold) -> None:
         """Add a hold that takes effect at its first knot and replaces what was sent for later."""
-        while self._holds and self._holds[-1].start >= hold.start:
-            self._holds.pop()
-        self._holds.append(hold)
+        for holds in (self._sent, self._corrected):
+            while holds and holds[-1].start >= hold.start:
+                holds.pop()
+            holds.append(hold)
 
     def withdraw(self, hold: FirstOrderHold) -> None:
-        """Remove a hold that did not take effect; the one before it lasts longer."""
-        for i in range(len(self._holds) - 1, -1, -1):
-            if self._holds[i] is hold:
-                del self._holds[i]
+        """Correct by a hold that did not take effect; the one before it lasts longer."""
+        for i in range(len(self._corrected) - 1, -1, -1):
+            if self._corrected[i] is hold:
+                del self._corrected[i]
                 return
 
     def follow(
         self, hold: FirstOrderHold, known: list[tuple[float, Vector]], acceleration: float
     ) -> None:
-        """Add a hold that took effect late and is not in force yet.
+        """Correct by a hold that took effect late and is not in force yet.
 
         `known` are times [s] and the rotor speeds then [rad/s], shape (2,), first those at which
         the hold before was left; then the rotors catch up, within `acceleration` [rad/s^2].
         """
         time, speeds = known[-1]
-        later = [kept for kept in self._holds if kept.start > time]
+        corrected = self._corrected
         rest = hold.starting_at(time, speeds).limited(np.inf, acceleration)
         times, before = zip(*known[:-1], strict=True)
-        self.record(FirstOrderHold(
+        followed = FirstOrderHold(
             np.concatenate((times, rest.times)), np.vstack((*before, rest.speeds))
-        ))
-        self._holds.extend(later)
+        )
+        earlier = [kept for kept in corrected if kept.start < followed.start]
+        later = [kept for kept in corrected if kept.start > time]
+        corrected.clear()
+        corrected.extend((*earlier, followed, *later))
+
+    def confirm(self) -> None:
+        """Believe the measured speeds, which have followed a command, unless poses show more."""
+        if self._doubt == 0.0:
+            self._holds = self._corrected
+
+    @property
+    def believes_measured(self) -> bool:
+        """Whether what is read is corrected by the measured speeds."""
+        return self._holds is self._corrected
+
+    def judge(self, as_sent: float, as_corrected: float, improbable: float) -> None:
+        """Take into account how far a motion was from its prediction by the speeds of each kind.
+
+        Given are normalised squares of innovations with 5 degrees of freedom. The scale of the
+        errors is not known, so that -2 log of the ratio of likelihoods is 5 log of that of the
+        mean squares, 1 being that of noise alone. The ratios of intervals multiply, up to odds of
+        `improbable`; once these are reached the one or the other is believed, until the opposite
+        ones are (a sequential test). A motion for which both are the same halves the odds that
+        the corrections are wrong.
+        """
+        more = 5.0 * math.log((5.0 + as_corrected) / (5.0 + as_sent))
+        if more:
+            self._doubt = min(max(self._doubt + more, -improbable), improbable)
+        elif self._doubt > 0.0:
+            self._doubt = max(self._doubt - 2.0 * math.log(2.0), 0.0)
+        self.contradicted = self._doubt == improbable or (self.contradicted and self._doubt > 0.0)
+        if abs(self._doubt) == improbable:
+            self._holds = self._sent if self.contradicted else self._corrected
 
     def is_pending(self, time: float, now: float) -> bool:
         """Return whether measured speeds will tell soon what the rotors did up to `time` [s].
@@ -105,26 +150,13 @@ class SentInputs:
         That is their lengths [s], shape (K,), and the rotor speeds at their ends [rad/s], shape
         (K + 1, 2). Before the first hold the rotors are at rest.
         """
-        times, speeds = [end], list[Vector]()
-        at_start: Vector = np.zeros(INPUT_SIZE)
-        # From the newest back, so that a long history costs nothing.
-        for hold in reversed(self._holds):
-            begun, until = hold.start, times[-1]
-            if begun > end + SAME:
-                continue
-            speeds = speeds or [hold.at(end)]
-            since = max(start, begun)
-            if since < until:
-                knots = [*reversed(hold.knots_between(since, until)), since]
-                times += knots
-                speeds += map(hold.at, knots)
-            if begun <= start + SAME:
-                at_start = speeds[-1]
-                break
-        if times[-1] > start:
-            times.append(start)
-            speeds = [*(speeds or [at_start]), at_start]
-        return np.diff(times[::-1]), np.array(speeds[::-1])
+        return _pieces(self._holds, start, end)
+
+    def both_pieces(
+        self, start: float, end: float
+    ) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
+        """Return the pieces by what was sent, and by what measured speeds make of it."""
+        return _pieces(self._sent, start, end), _pieces(self._corrected, start, end)
 
     def moves_after(self, time: float) -> bool:
         """Return whether the hold in force has a speed other than zero at `time` [s] or later."""
@@ -132,3 +164,27 @@ class SentInputs:
         if newest is None:
             return False
         return bool(newest.at(time).any() or newest.speeds[newest.times > time].any())
+
+
+def _pieces(holds: deque[FirstOrderHold], start: float, end: float) -> tuple[Vector, Vector]:
+    """Return the speeds by holds as straight pieces, see `SentInputs.pieces`."""
+    times, speeds = [end], list[Vector]()
+    at_start: Vector = np.zeros(INPUT_SIZE)
+    # From the newest back, so that a long history costs nothing.
+    for hold in reversed(holds):
+        begun, until = hold.start, times[-1]
+        if begun > end + SAME:
+            continue
+        speeds = speeds or [hold.at(end)]
+        since = max(start, begun)
+        if since < until:
+            knots = [*reversed(hold.knots_between(since, until)), since]
+            times += knots
+            speeds += map(hold.at, knots)
+        if begun <= start + SAME:
+            at_start = speeds[-1]
+            break
+    if times[-1] > start:
+        times.append(start)
+        speeds = [*(speeds or [at_start]), at_start]
+    return np.diff(times[::-1]), np.array(speeds[::-1])

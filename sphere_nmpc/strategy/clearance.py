@@ -37,7 +37,8 @@ a radius that is learnt, and the clearance fall where it is too small already.""
 _ROUNDING = 1e-6
 """Distance [m] by which a goal may lack radius and clearance."""
 _LEAST_SHARE = 0.1
-"""Least share [-] of its inertia about the contact point that an imbalance may leave a sphere."""
+"""Least share [-] of its inertia about the contact point that an imbalance leaves a sphere; beyond
+it the bound of the speed is none."""
 
 
 class Margin(Enum):
@@ -189,7 +190,7 @@ class Profile(NamedTuple):
         wanted = np.maximum(np.minimum(needed, reached[1:]) - _VARIES, min(start, radius))
         if np.any(known < wanted) or (start >= radius and np.any(between < radius)):
             return math.nan
-        return float(np.min(distances))
+        return float(min(np.min(distances), np.min(between, initial=start)))
 
 
 def profile_of(situation: Situation, hold: FirstOrderHold, longest: float) -> Profile:
@@ -224,16 +225,30 @@ def profile_of(situation: Situation, hold: FirstOrderHold, longest: float) -> Pr
 def bound_of_speed(situation: Situation) -> float:
     """Return the largest speed of the centre for rotor speeds and momentum of length 1 [m/rad].
 
-    The momentum about the contact point divided by the least inertia about it, over It1 + m: that
-    is 1 without momentum, as no rotor turns about the body's z axis, r1 / r3 for momentum about
-    that axis, and less by twice the length of b with an imbalance (`sphere_nmpc.model.dynamics`).
+    That is Rs c1 by the largest length of the horizontal part of what the equations of motion
+    (`sphere_nmpc.model.dynamics`) are solved by for a right side of length 1, over all
+    orientations (docs/floor.md).
     """
     radius, gain, r1, r3 = situation.constants.as_array().tolist()
+    fastest, transverse, axial = radius * gain, 1.0 - r1, 1.0 - r3
+    more = axial - transverse
     if is_zero(situation.momentum, situation.disturbance):
-        return float(radius * gain)
+        # No rotor turns about the body's z axis; no body has more, but what is learnt may.
+        beyond = axial / (2.0 * math.sqrt(transverse * more)) if more > transverse else 1.0
+        return float(fastest * beyond)
+    ratio = r1 / r3
+    factor, rise = max(1.0, 1.0 / ratio), (ratio * axial) ** 2 - transverse**2
+    if rise and more:
+        # Where z is neither vertical nor horizontal: the square of the cosine of its angle.
+        square = transverse / more - 2.0 * transverse**2 / rise
+        if 0.0 < square < 1.0:
+            within = transverse * axial * more * (ratio**2 * axial - transverse)
+            factor = max(factor, abs(rise) / (2.0 * ratio * math.sqrt(within)))
     imbalance = situation.disturbance.imbalance
     beside = gain * radius / GRAVITY * math.sqrt(imbalance.dot(imbalance))
-    return float(radius * gain / max(min(1.0, r1 / r3) - 2.0 * beside, _LEAST_SHARE))
+    half = 0.5 * (ratio + transverse)
+    least = half - math.sqrt(max(half**2 - ratio * min(transverse, axial), 0.0))
+    return float(fastest * factor / max(1.0 - 2.0 * beside / least, _LEAST_SHARE))
 
 
 def without_collisions(situation: Situation, side: Side, beyond: Vector | None = None) -> Side:

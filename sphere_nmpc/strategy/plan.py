@@ -47,7 +47,8 @@ class Plan:
         Origin and quality of the plan.
     hold : FirstOrderHold
         Rotor speeds [rad/s]; knot times in control time [s], the first at the sampling instant, or
-        from time 0 on.
+        from time 0 on. That of a search ends at the arrival at its own goal; once it is in force,
+        the sphere is held there for a second more, so that its end is no arrival.
     states : ndarray, shape (K, 9)
         Predicted states at the knots of `hold`.
     goal : Goal
@@ -119,7 +120,7 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """Time from time 0 to the arrival at its own goal [s], of one that begins there."""
+        """Time from time 0 to the arrival at its own goal [s], of the plan of a search."""
         return self.hold.end
 
     @property

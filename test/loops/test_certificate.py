@@ -15,11 +15,12 @@ from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, without_momentum
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import (
     Margin,
+    bound_of_speed,
     certified,
     clearance_of,
     needed_distance,
@@ -180,6 +181,61 @@ def test_the_bound_of_the_way_holds_with_momentum_and_imbalance(robot: RobotPara
         assert ways.size == lengths.size and (ways <= lengths + 1e-9).all()
         closest = max(closest, float((ways / lengths).max()))
     assert closest > 0.85
+
+
+def fastest_rolling(constants: LumpedConstants, b: Vector, count: int, rotors: bool) -> float:
+    """Return the largest speed found [Rs c1], with z as first axis, over random orientations."""
+    d, r1 = constants.transverse_ratio / constants.axial_ratio, constants.transverse_ratio
+    found, z = 0.0, np.diag([1.0, 0.0, 0.0])
+    for angle in np.linspace(0.0, 0.5 * np.pi, count):
+        for around in np.linspace(0.0, 2.0 * np.pi, 12 if b.any() else 1, endpoint=False):
+            side = math.sin(angle)
+            e = np.array([math.cos(angle), side * math.cos(around), side * math.sin(around)])
+            inertia = np.eye(3) * (1.0 + 2.0 * b @ e) + (d - 1.0) * z - r1 * np.outer(e, e)
+            inertia -= np.outer(b, e) + np.outer(e, b)
+            rates = (np.eye(3) - np.outer(e, e)) @ np.linalg.inv(inertia)
+            found = max(found, float(np.linalg.norm(rates[:, 1:] if rotors else rates, 2)))
+    return found
+
+
+def test_no_robot_rolls_faster_than_the_bound_of_speed_and_some_nearly_as_fast() -> None:
+    """Also with ratios that no body has, but a robot that is learnt may."""
+    rng = np.random.default_rng(8)
+    given = [ROBOT.lumped, LumpedConstants(0.1, 0.02, 0.93, 0.87)]
+    given += [LumpedConstants(0.1, 0.02, *rng.uniform(0.2, 0.98, 2)) for _ in range(40)]
+    for k, constants in enumerate(given):
+        state = without_momentum(pose(0.0, 0.0))
+        unit = constants.shell_radius * constants.input_gain
+        resting = Situation(0.0, state, state[:6], STILL, constants)
+        moved = replace(resting, state=np.concatenate((state[:6], [1.0, 0.0, 0.0])))
+        for now, rotors in ((resting, True), (moved, False)):
+            factor = bound_of_speed(now) / unit
+            exact = fastest_rolling(constants, np.zeros(3), 600, rotors)
+            assert exact <= factor * (1.0 + 1e-9) and factor < exact * (1.0 + 1e-3)
+        if k < 2:
+            assert factor == pytest.approx((1.0, 1.0293079)[k], abs=1e-6)
+        beside = rng.normal(size=3)
+        beside *= rng.uniform(0.0, 0.03) / np.linalg.norm(beside)
+        imbalance = Disturbance(imbalance=beside * GRAVITY / unit)
+        factor = bound_of_speed(replace(moved, disturbance=imbalance)) / unit
+        if factor < 3.0:  # the bound of a centre of mass that leaves some inertia
+            assert fastest_rolling(constants, np.roll(beside, 1), 60, False) <= factor
+
+
+def test_what_is_told_of_a_start_without_clearance_bounds_the_clearance_of_the_motion() -> None:
+    rng, lines = np.random.default_rng(4), 0
+    for _ in range(200):
+        distance = RADIUS + float(rng.uniform(1e-4, 0.02))
+        now = on_a_line(distance)
+        state = now.state.copy()
+        state[2:6] = rotation.random_quaternion(rng)
+        now = replace(now, state=state)
+        hold = FirstOrderHold(0.1 * np.arange(5), rng.uniform(-100.0, 100.0, (5, 2)))
+        found = both(now, hold, needed_distance(now, Margin.KEPT))
+        if not math.isnan(found):
+            lines += 1
+            assert least_distance(now.floor, path_of(state, hold)) >= found - 1e-6
+    assert lines > 8
 
 
 def test_one_radius_is_asked_for_everywhere() -> None:

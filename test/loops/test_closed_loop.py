@@ -3,6 +3,7 @@
 """Closed loops without ROS: the paper's cases, late and noisy poses, weak drives, a lossy link."""
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import POSE, flipped_sign, make_state
+from sphere_nmpc.model.state import POSE, Vector, flipped_sign, make_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -206,15 +208,18 @@ class Wire:
 
 
 class LinkedLoop(SampledLoop):
-    """Loop with a link in between, whose clock may be late, too [s]."""
+    """Loop with a link in between, whose clock may be late, too [s].
+
+    `measured` makes what `joint_states` have of the rotor speeds [rad/s]; None without any.
+    """
 
     def __init__(
         self, delay: float = 0.02, loss: float = 0.0, bursts: tuple[float, ...] = (),
-        clock_delay: float = 0.0, joint_states: bool = True,
+        clock_delay: float = 0.0, measured: Callable[[Vector], Vector] | None = np.copy,
     ) -> None:
         goal = make_state((0.9, -1.1), random_quaternion(np.random.default_rng(1)))
         super().__init__(PAPER_CASES[1].start, goal=goal, simulated={"pose_rate": 50.0})
-        self.clock_delay, self.joint_states = clock_delay, joint_states
+        self.clock_delay, self.measured = clock_delay, measured
         self.poses, self.joints, self.commands = (
             Wire(seed, delay, loss, bursts) for seed in range(3)
         )
@@ -238,10 +243,11 @@ class LinkedLoop(SampledLoop):
         now = true - self.clock_delay
         if count % 2 == 0:
             self.poses.send(true, (true, self.pose))
-            self.joints.send(true, (true, self.plant.rotor_speeds.copy()))
+            if self.measured is not None:
+                self.joints.send(true, (true, self.measured(self.plant.rotor_speeds)))
         for hold in self.commands.receive(true):
             self.simulator.follower.follow_trajectory(hold)
-        for time, speeds in self.joints.receive(true) if self.joint_states else ():
+        for time, speeds in self.joints.receive(true):
             controller.observe_rotors(time, speeds)
         for time, state in self.poses.receive(true):
             controller.rotor_feedback.poses.received(time, now - time)
@@ -262,6 +268,38 @@ def test_without_a_link_nothing_is_committed_ahead() -> None:
     loop.go()
     feedback = loop.controller.rotor_feedback
     assert feedback.window == feedback.loss == 0.0 and not feedback.shows_link
+
+
+WRONG_SPEEDS: dict[str, Callable[[Vector], Vector]] = {
+    "zero": np.zeros_like,
+    "turns per second": lambda speeds: speeds / (2.0 * np.pi),
+    "revolutions per minute": lambda speeds: speeds * 30.0 / np.pi,
+    "degrees per second": np.degrees,
+    "opposite": np.negative,
+    "swapped": np.flip,
+    "constant": lambda speeds: np.full_like(speeds, 20.0),
+    "one zero": lambda speeds: speeds * [1.0, 0.0],
+}
+
+
+@pytest.mark.parametrize("measured", WRONG_SPEEDS.values(), ids=WRONG_SPEEDS)
+def test_speeds_that_contradict_the_motion_are_left_out(measured) -> None:
+    without, wrong = LinkedLoop(delay=0.0, measured=None), LinkedLoop(delay=0.0, measured=measured)
+    assert wrong.go() == pytest.approx(without.go(), abs=0.05)
+    # Others do not look like lost or late commands, so that nothing is made of them.
+    if measured in (WRONG_SPEEDS["zero"], WRONG_SPEEDS["turns per second"]):
+        assert Kind.SPEEDS_CONTRADICTED in {one.kind for one in wrong.controller.faults}
+
+
+def test_speeds_of_rotors_that_do_not_turn_are_believed() -> None:
+    """Commands are lost from the start on: the sphere stands, as the speeds say."""
+    loop = LinkedLoop(delay=0.0)
+    loop.commands = Wire(0, 0.0, loss=1.0, bursts=())
+    while loop.time < 1.0:
+        loop.step()
+    sent = loop.controller._commands.sent
+    assert sent.believes_measured and not sent.contradicted
+    assert not sent.at(1.0).any()
 
 
 @pytest.mark.parametrize(
@@ -288,7 +326,7 @@ def test_lost_commands_are_no_other_plant_and_cost_little_time(
 
 def test_goal_is_reached_without_joint_states() -> None:
     """Commands are then expected to be lost as often as poses."""
-    loop = LinkedLoop(loss=0.05, joint_states=False)
+    loop = LinkedLoop(loss=0.05, measured=None)
     took, feedback = loop.go(), loop.controller.rotor_feedback
     assert 0.015 < feedback.window < 0.03 and 0.02 < feedback.loss < 0.1
     # Over twelve goals within 0.8 m from 4.0 to 4.4 s; without the window up to 26 s, or never.

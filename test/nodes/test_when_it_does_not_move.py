@@ -189,6 +189,25 @@ def robots_apart(graph) -> None:
     graph.start(ControllerNode, use_sim_time=True)
 
 
+def rolling(graph, **robot: float) -> ControllerNode:
+    """Roll a simulated robot with these parameters, that of the controller is the default one."""
+    graph.start(SimulatorNode, **{f"robot.{name}": value for name, value in robot.items()})
+    controller = graph.start(ControllerNode, use_sim_time=True)
+    goal = graph.publisher(PoseStamped, "goal_pose")
+    goal.publish(pose_to_ros(upright_state(1.0, -1.0, 1.57), 0, 0.3))
+    return controller
+
+
+def robot_given_to_one_node(graph) -> None:
+    rolling(graph, shell_radius=0.2)
+
+
+def velocities_that_are_always_0(graph) -> None:
+    controller = rolling(graph).controller
+    observe = controller.observe_rotors
+    controller.observe_rotors = lambda time, speeds: observe(time, 0.0 * speeds)
+
+
 def recorder_without_the_namespace(graph) -> None:
     graph.probe.create_publisher(PoseStamped, "/second/pose", 10)
     node = graph.start(RecorderNode, record_on_start=False)
@@ -258,6 +277,8 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     coarse_clock: ("controller", "clock that stamps them coarse"),
     bunches_that_are_stamped_when_passed_on: ("controller", "not where bunches of them"),
     frames_without_the_sphere: ("controller", "pose left out"),
+    robot_given_to_one_node: ("controller", "other robot"),
+    velocities_that_are_always_0: ("controller", "rotor speeds contradicted"),
     map_that_takes_long: ("controller", "floor late"),
     cache_that_others_can_write: ("controller", "goal not kept"),
     rate_beyond_the_machine: ("controller", "missed samples"),

@@ -179,7 +179,8 @@ class ControllerNode(ClockedNode):
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
             self._monitor.stamps.moved(now, deviation)
         self._monitor.check(
-            now, clock.simulated, jump, self._settings.pose_timeout, self._floor_receiver.faults(),
+            now, clock.simulated, jump, self._settings.pose_timeout,
+            (*self.controller.faults, *self._floor_receiver.faults()),
             (self._reports.ticks, self._schedule.missed, self._period),
         )
         self._reports.update()

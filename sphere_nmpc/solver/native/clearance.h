@@ -78,7 +78,7 @@ static int certify(int64_t intervals, const double *constants, const double *tor
                 reached = fmax(reached, here);
                 if (known < fmax(fmin(needed, reached) - fall, kept) || between < contact)
                     return 0;
-                least = fmin(least, here);
+                least = fmin(least, fmin(here, between));
             }
             before = here;
         }

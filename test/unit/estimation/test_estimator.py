@@ -246,3 +246,18 @@ def test_estimate_that_is_not_a_distribution_is_told_once_and_begins_anew(
     assert spoilt and gain(made) == 1.0
     track(made, LATER)
     assert gain(made) == pytest.approx(GAIN, abs=0.02)
+
+
+@pytest.mark.parametrize("learning", [True, False])
+@pytest.mark.parametrize("radius", [0.5, 0.9, 1.15, 2.0])
+def test_robot_that_the_motion_shows_to_be_another_is_told(radius: float, learning: bool) -> None:
+    given = replace(LUMPED, shell_radius=LUMPED.shell_radius / radius)
+    estimator = Estimator(replace(EXACT, learning=learning), given, SENT)
+    track(estimator)
+    condition = estimator.condition
+    if 0.8 < radius < 1.2:
+        assert condition is None
+    else:
+        assert condition is not None and condition.text.startswith(
+            f"given shell_radius = {given.shell_radius:.3g} m, and the motion shows 0.3 m, "
+        )

@@ -26,6 +26,7 @@ def at(times: Vector, durations: Vector, speeds: Vector, start: float = 0.0) -> 
 
 def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces_later_ones():
     sent = SentInputs()
+    sent.confirm()
     sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))
     sent.record(ramp(1.5, [5, 10], [0, 0], 0.5))
     np.testing.assert_allclose([sent.at(t)[0] for t in (0.5, 1.25, 1.75, 9.0)], [0, 2.5, 2.5, 0])
@@ -39,6 +40,44 @@ def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces
     assert sent.moves_after(4.9) and not sent.moves_after(5.0)
     sent.clear()
     assert not sent.moves_after(0.0)
+
+
+def test_corrections_are_believed_once_speeds_followed_a_command_or_poses_show_them() -> None:
+    sent, limit = SentInputs(), 25.0
+    hold = FirstOrderHold.constant(1.0, np.array([3.0, 3.0]))
+    sent.record(hold)
+    sent.withdraw(hold)
+
+    def belief() -> tuple[float, bool]:
+        return float(sent.at(2.0)[0]), sent.contradicted
+
+    assert belief() == (3.0, False), "not yet"
+    sent.confirm()
+    assert belief() == (0.0, False)
+    sent.judge(1.0, 1e6, limit)
+    assert belief() == (3.0, True)
+    sent.confirm()
+    assert belief() == (3.0, True), "poses count for more"
+    sent.judge(100.0, 1.0, limit)
+    assert belief() == (3.0, True), "less likely, but not excluded"
+    sent.judge(100.0, 1.0, limit)
+    assert belief() == (3.0, False), "as likely as not"
+    sent.judge(1e6, 1.0, limit)
+    assert belief() == (0.0, False)
+    for _ in range(40):
+        sent.judge(1e3, 1e3, limit)  # pushed: neither explains it
+    assert belief() == (0.0, False)
+
+
+def test_contradiction_ends_after_motions_for_which_both_are_the_same() -> None:
+    sent = SentInputs()
+    sent.judge(0.0, 1e6, 25.0)
+    for _ in range(17):
+        sent.judge(0.0, 0.0, 25.0)
+    assert sent.contradicted
+    for _ in range(2):
+        sent.judge(0.0, 0.0, 25.0)
+    assert not sent.contradicted
 
 
 def test_pieces_are_the_speeds_in_force() -> None:

@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.model.state import QUATERNION, Vector, are_states
+from sphere_nmpc.model.state import POSE_SIZE, QUATERNION, Vector, are_states
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.recording.bag_clock import OTHER_CLOCK, TOLERANCE, BagClock, longest_run
 from sphere_sim.recording.bag_files import BagError
@@ -21,14 +21,16 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
     Messages of other runs are removed.
     """
     entries = messages.decoded.get(topic, [])
-    if not entries:
-        reason = f"no message on {topic}"
-        reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
-        raise BagError(messages.path, reason)
-    states = np.array([message.state for _, message in entries])
+    given = [message.state for _, message in entries]
+    states: Vector = np.array(given, dtype=float).reshape(-1, POSE_SIZE)
     valid = are_states(states)
     if not np.any(valid):
-        raise BagError(messages.path, f"no message on {topic} holds a valid pose")
+        reason = f"no message on {topic}" + (" holds a valid pose" if entries else "")
+        if messages.notes:
+            reason = messages.incomplete(reason)
+        elif not entries:
+            reason = f"is empty: {reason}"
+        raise BagError(messages.path, reason)
     if not np.all(valid):
         messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
     states = states[valid]

@@ -3,7 +3,6 @@
 """Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`."""
 
 import dataclasses
-import json
 import math
 from collections import Counter
 from functools import cached_property
@@ -25,7 +24,7 @@ from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
+from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, object_of, storage_name
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     CONTACTS,
@@ -99,11 +98,7 @@ def read_run(
 
 def _recorded_parameters(custom_data: dict[str, str], node: str) -> dict[str, Any]:
     """Return the recorded parameters of a node; empty where the bag does not have them."""
-    try:
-        values = json.loads(custom_data.get(f"{PARAMETERS_PREFIX}{node}", "{}"))
-    except ValueError:
-        return {}
-    return values if isinstance(values, dict) else {}
+    return object_of(custom_data.get(f"{PARAMETERS_PREFIX}{node}", ""))
 
 
 def _recorded_robot(values: dict[str, Any]) -> RobotParameters:

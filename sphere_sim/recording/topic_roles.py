@@ -8,7 +8,6 @@ words, the name before any remapping, and the messages: joints named as the roto
 sphere that rolls.
 """
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -27,7 +26,7 @@ from sphere_nmpc.ros.cdr import (
     Trajectory,
     Vector3,
 )
-from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
+from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError, object_of
 from sphere_sim.recording.message_fields import POSE_TOPIC, TRUE_POSE
 from sphere_sim.recording.messages import Messages, full_topic_name
 
@@ -126,11 +125,7 @@ class _Bag:
 
     def stated(self, robot: str, nodes: Sequence[str]) -> dict[str, str]:
         """Return topics that the run itself states, by their names before any remapping."""
-        text = self._messages.custom_data.get(f"{TOPICS_PREFIX}{robot or '/'}", "{}")
-        try:
-            found = dict(json.loads(text))
-        except (ValueError, TypeError):
-            found = {}
+        found = object_of(self._messages.custom_data.get(f"{TOPICS_PREFIX}{robot or '/'}", ""))
         for node in nodes:
             for _, message in self._messages.decoded.get(f"{node}/status", ())[:1]:
                 if POSE_TOPIC in message.values:

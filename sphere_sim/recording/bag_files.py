@@ -26,11 +26,11 @@ _ZSTD = ".zstd"
 _HEAD, _MOST_OTHERS = 32, 100
 """Bytes at the beginning of a file that show its format, and files of a folder whose is shown."""
 _SUFFIXES = (".mcap", ".db3")
+OF_ROS_1 = "'rosbags-convert --src FILE.bag --dst FOLDER' converts a bag of ROS 1"
 _BEGINNINGS = {".mcap": b"\x89MCAP0", ".db3": b"SQLite format 3", _ZSTD: b"\x28\xb5\x2f\xfd"}
 """What files with these suffixes begin with."""
 _FORMATS = {
-    b"#ROSBAG V": "a recording of ROS 1; 'rosbags-convert --src FILE.bag --dst FOLDER "
-                  "--dst-typestore ros2_jazzy' converts one",
+    b"#ROSBAG V": f"a recording of ROS 1; {OF_ROS_1}",
     b"ULog": "a log of PX4 (ULog)",
     b"version https://git-lfs": "a pointer of Git LFS to the file, which 'git lfs pull' fetches",
     b"\x1f\x8b": "compressed with gzip",
@@ -47,6 +47,11 @@ class BagError(SphereNmpcError):
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"bag {path}: {printable_line(reason)}")
+
+
+def full_topic_name(name: str) -> str:
+    """Return a name with its leading slash, which some writers of bags leave out."""
+    return f"/{name.strip('/')}"
 
 
 def one_line_reason(error: Exception) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.foreign_file import InvalidFileError
-from sphere_nmpc.foreign_text import cut
-from sphere_sim.recording.bag_files import METADATA, BagError, find_files
+from sphere_nmpc.foreign_text import cut, shown
+from sphere_sim.recording.bag_files import METADATA, OF_ROS_1, BagError, find_files
 from sphere_sim.recording.storage_reader import StorageReader
 
 TopicFilter = Callable[[str, str], bool]
@@ -29,6 +29,8 @@ class Messages:
         has messages.
     custom_data, notes : dict of str to str, and list of str
         Custom data of the bag; messages for users on what is missing or invalid in it.
+    unread : str
+        How many topics have messages in an encoding that is not read; empty where none has.
     truncated : bool
         Whether more may have been recorded than can be read.
     """
@@ -38,16 +40,12 @@ class Messages:
     decoded: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
     custom_data: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    unread: str = ""
     truncated: bool = False
 
     def incomplete(self, missing: str) -> str:
         """Return the reason of an error for `missing` content that may have been recorded."""
         return f"{missing} in what can be read of it: {'; '.join(self.notes)}"
-
-
-def full_topic_name(name: str) -> str:
-    """Return a name with its leading slash, which some writers of bags leave out."""
-    return f"/{name.strip('/')}"
 
 
 def read_messages(path: Path, selects: TopicFilter) -> Messages:
@@ -94,10 +92,12 @@ def read_messages(path: Path, selects: TopicFilter) -> Messages:
     if messages.truncated and not messages.types:
         problems = "; ".join(messages.notes)
         raise BagError(path, f"nothing can be read of it: {problems}")
-    messages.notes += [
-        f"{number} topics are not read, as their messages are encoded as {encoding or 'nothing'}, "
-        "not in CDR, as those of ROS 2 are" for encoding, number in reader.unread.items()
-    ]
+    if reader.unread:
+        listed = ", ".join(f"{count} in {shown(name)}" for name, count in reader.unread.items())
+        messages.unread = f"topics encoded otherwise than by ROS 2 (CDR): {listed}"
+        if "ros1" in reader.unread:
+            messages.unread += f"; {OF_ROS_1}"
+        messages.notes.append(f"not read are {messages.unread}")
     messages.notes += [
         f"{number} messages of type {name} are invalid" for name, number in reader.invalid.items()
     ]

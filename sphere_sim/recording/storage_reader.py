@@ -32,6 +32,7 @@ from sphere_nmpc.ros.cdr import RECORDS, read
 from sphere_sim.recording.bag_files import (
     custom_data,
     foreign_format,
+    full_topic_name,
     metadata_values,
     one_line_reason,
     storage_name,
@@ -300,10 +301,10 @@ class StorageReader:
         if not all(isinstance(it, str) and it.isprintable() and len(it) < 256
                    for it in (topic, msgtype, encoding)):
             return
-        topic = f"/{topic.strip('/')}"
+        topic, msgtype = full_topic_name(topic), msgtype or "no type"
         if encoding != _CDR:
             self.unread[encoding] += number not in topics
-            msgtype = f"{msgtype or 'no type'} in {encoding or 'no encoding'}"
+            msgtype = f"{msgtype} in {encoding or 'no encoding'}"
         elif msgtype.count("/") == 1:
             msgtype = msgtype.replace("/", "/msg/")  # as the first releases of ROS 2 wrote it
         selected = self._selects(topic, msgtype)

@@ -26,9 +26,9 @@ from sphere_nmpc.ros.cdr import (
     Trajectory,
     Vector3,
 )
-from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError, object_of
+from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError, full_topic_name, object_of
 from sphere_sim.recording.message_fields import POSE_TOPIC, TRUE_POSE
-from sphere_sim.recording.messages import Messages, full_topic_name
+from sphere_sim.recording.messages import Messages
 
 _POSE, _JOINTS, _PLANS = TYPES[Pose], TYPES[Joints], TYPES[Trajectory]
 _NAMED = {
@@ -233,11 +233,13 @@ class _Bag:
             return self._error(messages.incomplete(missing))
         if not messages.types:
             return self._error("is empty: it has no topic at all")
-        others = ", ".join(f"{topic} ({_last(messages.types[topic])})"
-                           for topic in sorted(messages.types))
-        return self._error(
-            f"{missing} in namespace {robot or '/'}, so a bag of another robot; has: {others}"
+        # Types of equal names are told apart by their packages.
+        others = ", ".join(
+            f"{topic} ({kind if _last(kind) == _last(_POSE) else _last(kind)})"
+            for topic, kind in sorted(messages.types.items())
         )
+        why = f"; it has {messages.unread}" if messages.unread else ", so a bag of another robot"
+        return self._error(f"{missing} in namespace {robot or '/'}{why}; has: {others}")
 
     def _error(self, reason: str) -> BagError:
         if self._candidates and "--pose-topic" not in reason:

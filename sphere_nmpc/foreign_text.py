@@ -2,21 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text and values from other programs, made fit for a log, a terminal and a status."""
 
+import re
+
 LONGEST = 100
 """Characters of a foreign text that are shown."""
 LONGEST_LINE = 600
 """Characters of a line that may contain several."""
+_SCALAR = re.compile(r"\bnp\.(?:(True|False)_|[a-z]+\d*_?\(([^()]*)\))")
+"""Scalar of NumPy, of which `repr` also says its type."""
 
 
 def shown(value: object) -> str:
     """Return a value of another program as `repr`, cut to `LONGEST` characters.
 
     `repr` escapes line breaks and the control sequences of terminals, so that a foreign text can
-    neither forge a line of a log nor act on a terminal.
+    neither forge a line of a log nor act on a terminal. Numbers of NumPy are plain ones.
     """
-    if isinstance(value, str | bytes | bytearray):
+    if isinstance(value, str | bytes | bytearray | list):
         value = value[: LONGEST + 1]  # the rest would only be escaped to be cut off
-    return cut(repr(value), LONGEST)
+    text = repr(value)
+    if not isinstance(value, str | bytes | bytearray):
+        # Arrays have a line for each row.
+        text = _SCALAR.sub(r"\1\2", " ".join(text.split()))
+    return cut(text, LONGEST)
 
 
 def printable_line(line: str) -> str:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults are logged at a limited rate, all of them counted, and foreign text in one line."""
 
+import numpy as np
 import pytest
 
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
@@ -53,6 +54,18 @@ def test_control_characters_are_escaped_and_long_texts_cut(text: str) -> None:
     for result, longest in ((shown(text), LONGEST), (lines[0], LONGEST_LINE)):
         assert result.isprintable() and len(result) <= longest
         assert result.splitlines() == [result]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (np.float64("nan"), "nan"), ([np.float64(1.5), np.int64(2)], "[1.5, 2]"),
+        ((np.True_, np.str_("a")), "(True, 'a')"), ({"x": np.float32(0.5)}, "{'x': 0.5}"),
+        (np.zeros((2, 2)), "array([[0., 0.], [0., 0.]])"), ("np.float64(1)", "'np.float64(1)'"),
+    ],
+)
+def test_values_of_numpy_are_shown_as_plain_ones_in_one_line(value: object, text: str) -> None:
+    assert shown(value) == text
 
 
 def test_line_that_can_be_printed_stays_as_it_is() -> None:

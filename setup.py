@@ -25,7 +25,9 @@ NAME, MAINTAINERS = PACKAGE.findtext("name"), PACKAGE.findall("maintainer")
 SHARED = (
     "config", "config/maps", "examples", "launch", "rviz", "foxglove", "urdf", "msg_docs", "hook",
 )
-READING = ["rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "zstandard>=0.22"]
+READING = [
+    "rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "pyyaml>=5.4", "zstandard>=0.22",
+]
 """To read recordings. Of rosbags the type store and the form in which bags hold QoS profiles are
 used; its minor versions below 1.0 change interfaces, as 0.11 did those of the reader."""
 SCIPY = "scipy>=1.11,<2"

@@ -6,6 +6,7 @@ import os
 import stat
 import sys
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from sphere_nmpc.errors import InvalidValueError
 from sphere_nmpc.foreign_text import Description
@@ -52,26 +53,68 @@ def _package_folders() -> list[Path]:
     ]
 
 
-def read_file(path: Path, most_bytes: int) -> bytes:
-    """Return the content of a regular file of at most so many bytes.
+def open_file(path: Path, most_bytes: float = float("inf")) -> BinaryIO:
+    """Open a regular file of at most so many bytes to be read.
 
     `InvalidFileError` is raised for any other file, and `OSError` where there is none that can be
     read.
     """
     # Before it is opened, which is an action for some devices ...
     _check(path, os.stat(path), most_bytes)
+    # ... and afterwards, as it may be another one by now; without O_NONBLOCK, a pipe without a
+    # writer could not be opened at all.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(descriptor, "rb") as file:
-        # ... and afterwards, as it may be another one by now; without O_NONBLOCK, a pipe without
-        # a writer could not be opened at all.
+    file = open(descriptor, "rb")  # noqa: SIM115
+    try:
         _check(path, os.fstat(descriptor), most_bytes)
+    except InvalidFileError:
+        file.close()
+        raise
+    return file
+
+
+def read_file(path: Path, most_bytes: int) -> bytes:
+    """Return the content of a regular file of at most so many bytes; raises as `open_file`."""
+    with open_file(path, most_bytes) as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:
         raise InvalidFileError(str(path), "a file that grows", f"at most {most_bytes} bytes")
     return content
 
 
-def _check(path: Path, found: os.stat_result, most_bytes: int) -> None:
+def yaml_texts(text: str | bytes, deepest: int) -> Any:
+    """Return a YAML document as mappings and lists of texts, whatever types YAML gives these.
+
+    Of several entries of one name the first is in force. `InvalidFileError` is raised for aliases
+    and for more than `deepest` levels of lists and mappings; the parser raises many kinds.
+    """
+    import yaml
+
+    values: list[Any] = []
+    open_values = [values]  # keys and values in turn of those that are mappings
+    for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        if isinstance(event, yaml.ScalarEvent):
+            open_values[-1].append(event.value)
+        elif isinstance(event, yaml.CollectionStartEvent):
+            # The parser takes minutes for thousands of brackets.
+            if len(open_values) > deepest:
+                raise InvalidFileError("YAML", "lists in lists", f"at most {deepest} levels")
+            open_values.append([])
+        elif isinstance(event, yaml.CollectionEndEvent):
+            inner: Any = open_values.pop()
+            if isinstance(event, yaml.MappingEndEvent):
+                pairs = list(zip(inner[::2], inner[1::2], strict=True))
+                inner = {key: value for key, value in reversed(pairs) if isinstance(key, str)}
+            open_values[-1].append(inner)
+        elif isinstance(event, yaml.AliasEvent):
+            # A few lines of aliases of aliases are a value that no memory can hold.
+            raise InvalidFileError("YAML", "an alias", "each value written out")
+        elif isinstance(event, yaml.DocumentEndEvent):
+            break
+    return values[0] if values else None
+
+
+def _check(path: Path, found: os.stat_result, most_bytes: float) -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
         raise InvalidFileError(str(path), kind, "a regular file")

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text and values from other programs, made fit for a log, a terminal and a status."""
 
-from typing import Any
+import re
 
 LONGEST = 100
 """Characters of a foreign text that are shown."""
 LONGEST_LINE = 600
 """Characters of a line that may contain several."""
+_SCALAR = re.compile(r"\bnp\.(?:(True|False)_|[a-z]+\d*_?\(([^()]*)\))")
+"""Scalar of NumPy, of which `repr` also says its type."""
 
 
 class Description(str):
@@ -19,20 +21,17 @@ def shown(value: object) -> str:
 
     `repr` escapes line breaks and the control sequences of terminals, so that a foreign text can
     neither forge a line of a log nor act on a terminal. Numbers of NumPy are written as others
-    are, and a `Description` as it is.
+    are, arrays in one line, and a `Description` as it is.
     """
     if isinstance(value, Description):
         return cut(printable_line(value), LONGEST)
-    if isinstance(value, str | bytes | bytearray):
+    if isinstance(value, str | bytes | bytearray | list | tuple):
         value = value[: LONGEST + 1]  # the rest would only be escaped to be cut off
-    return cut(repr(_plain(value)), LONGEST)
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with the numbers of NumPy that it has as those of Python."""
-    if type(value) in (list, tuple):
-        return type(value)(map(_plain, value[: LONGEST + 1]))
-    return value.item() if getattr(value, "shape", None) == () else value
+    text = repr(value)
+    if not isinstance(value, str | bytes | bytearray):
+        # Arrays have a line for each row.
+        text = _SCALAR.sub(r"\1\2", " ".join(text.split()))
+    return cut(text, LONGEST)
 
 
 def printable_line(line: str) -> str:

@@ -19,11 +19,11 @@ from sphere_nmpc.floor.occupancy import (
     check_geometry,
     grid_of_values,
 )
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file
+from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file, yaml_texts
 from sphere_nmpc.foreign_text import shown
 
 _MOST_TEXT = 16_384
-"""Bytes of the YAML file, which mostly has 150; its parser takes 0.1 s for that many."""
+"""Bytes of the YAML file, which mostly has 150."""
 _DEEPEST = 2
 """Levels of its lists: the origin is one in a mapping."""
 _MOST_IMAGE = 2 * MOST_CELLS + _MOST_TEXT
@@ -47,7 +47,7 @@ _LUMA = (0.299, 0.587, 0.114, 0.0015 - 0.5)
 """Grey of a colour (ITU-R BT.601), rounded down as GraphicsMagick does, which map_server uses: it
 computes with 16 bits, where only 0.999 of a level becomes a whole one. Pillow adds 0.5."""
 
-_Entry = str | list[str] | None
+_Entry = str | list[str] | dict[str, str] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,34 +205,10 @@ def _pixels(
 
 def _entries(name: str, text: bytes) -> dict[str, _Entry]:
     """Return the entries as texts, whose types are not those of YAML but what each has to be."""
-    import yaml
-
-    depth = 0
-    found: list[str | list[str]] = []
-    inner: list[str] = []
-    for event in yaml.parse(text):
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-            if depth == 1 and not isinstance(event, yaml.MappingStartEvent):
-                break
-            if depth == _DEEPEST:
-                inner = []
-                found.append(inner)
-        elif isinstance(event, yaml.ScalarEvent):
-            (inner if depth == _DEEPEST else found).append(event.value)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        # A few lines of aliases of aliases are a value that no memory can hold, and the parser
-        # takes minutes for thousands of brackets.
-        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
-            what = "an alias" if depth <= _DEEPEST else "lists in lists"
-            raise InvalidMapError(name, what, "a YAML file of map_server, which has none")
-        if isinstance(event, yaml.DocumentEndEvent):
-            break
-    if depth or len(found) < 2:
+    found = yaml_texts(text, _DEEPEST)
+    if not isinstance(found, dict) or not found:
         raise InvalidMapError(name, shown(text), "a mapping with image, resolution ...")
-    # Of several entries of one name the first is in force.
-    pairs = zip(found[-2::-2], found[::-2], strict=True)
-    return {key: value for key, value in pairs if isinstance(key, str)}
+    return found
 
 
 def _number(name: str, key: str, given: _Entry) -> float:
@@ -263,4 +239,6 @@ def _origin(name: str, given: _Entry) -> tuple[float, float, float]:
 def _written(key: str, given: _Entry) -> str:
     if given is None:
         return f"no {key}"
-    return f"{key} [{', '.join(given)}]" if isinstance(given, list) else f"{key} {given}"
+    if isinstance(given, str):
+        return f"{key} {given}"
+    return f"{key} {'a mapping' if isinstance(given, dict) else given}".replace("'", "")

@@ -49,6 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(argv, signals)
     signals.exit_immediately()
     output.install()
+    # Figures are files. The kernel of a notebook names a backend that is installed with it, and
+    # matplotlib cannot be imported without one that is named.
+    os.environ["MPLBACKEND"] = "agg"
     # Without matplotlib's messages about its font cache.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:

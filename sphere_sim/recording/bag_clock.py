@@ -16,6 +16,28 @@ OTHER_CLOCK = 1e8
 """Age from which on a stamp is attributed to another clock [s]: simulated time and system time
 differ by 1.8e9 s, and no simulation runs for three years."""
 
+_LEAST_RATE = 1e-3
+"""Least rate of simulated time that is plausible, as a multiple of that of the log times."""
+_MOST_STANDING = 0.6
+"""Share of steps without progress that stamps may have, as where each is given twice."""
+
+
+def stand_still(
+    logs: NDArray[np.int64], stamps: NDArray[np.int64], values: Vector
+) -> bool:
+    """Return whether stamps [ns] do not advance as a time does, as constants and whole seconds.
+
+    `logs` are the log times [ns], `values` what the messages hold, shape (n, k): while simulated
+    time is paused, it is the same. If it always is, all messages count that are logged apart.
+    """
+    kept = np.nan_to_num(values)
+    changes = np.any(kept[1:] != kept[:-1], axis=1)
+    if not np.any(changes):
+        changes = np.diff(logs) > 0
+    steps, passed = np.diff(stamps)[changes], np.diff(logs)[changes]
+    standing = np.abs(steps) <= _LEAST_RATE * passed
+    return bool(standing.size and np.mean(standing) > _MOST_STANDING)
+
 
 def longest_run(stamps: Sequence[int] | NDArray[np.int64]) -> slice:
     """Return the longest section of poses, by their stamps [ns], without a restart.

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Storage files of a bag, with or without its metadata.yaml."""
 
+import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from ruamel.yaml import YAML
-
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.foreign_file import InvalidFileError, open_file, read_file, yaml_texts
 from sphere_nmpc.foreign_text import printable_line, shown
 
 METADATA = "metadata.yaml"
@@ -18,8 +18,27 @@ PARAMETERS_PREFIX = "parameters:"
 TOPICS_PREFIX = "topics:"
 """Custom data under this prefix and a namespace has the full names of topics there as JSON, by
 their names before any remapping."""
+_MOST_METADATA = 1 << 22
+"""Bytes of metadata.yaml, for which its parser takes a second; a thousand topics have 1 MB."""
+_DEEPEST_METADATA = 10
+"""Levels of its lists and mappings, of which recorders have seven."""
 _ZSTD = ".zstd"
+_HEAD, _MOST_OTHERS = 32, 100
+"""Bytes at the beginning of a file that show its format, and files of a folder whose is shown."""
 _SUFFIXES = (".mcap", ".db3")
+OF_ROS_1 = "'rosbags-convert --src FILE.bag --dst FOLDER' converts a bag of ROS 1"
+_BEGINNINGS = {".mcap": b"\x89MCAP0", ".db3": b"SQLite format 3", _ZSTD: b"\x28\xb5\x2f\xfd"}
+"""What files with these suffixes begin with."""
+_FORMATS = {
+    b"#ROSBAG V": f"a recording of ROS 1; {OF_ROS_1}",
+    b"ULog": "a log of PX4 (ULog)",
+    b"version https://git-lfs": "a pointer of Git LFS to the file, which 'git lfs pull' fetches",
+    b"\x1f\x8b": "compressed with gzip",
+    b"PK\x03\x04": "a ZIP archive",
+    **{begin: f"a file whose name should end in {suffix}" for suffix, begin in
+       _BEGINNINGS.items()},
+}
+"""What files are that begin so, and are not what their suffix says."""
 _EXPECTED = "a folder, a .mcap or a .db3 file, also with the suffix .zstd"
 
 
@@ -28,6 +47,11 @@ class BagError(SphereNmpcError):
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"bag {path}: {printable_line(reason)}")
+
+
+def full_topic_name(name: str) -> str:
+    """Return a name with its leading slash, which some writers of bags leave out."""
+    return f"/{name.strip('/')}"
 
 
 def one_line_reason(error: Exception) -> str:
@@ -40,14 +64,14 @@ class BagFiles:
     """Storage files of a bag, in the order in which they were written.
 
     `described` says whether metadata.yaml, or the user, names them as one bag; `custom_data` and
-    `message_count` are those in metadata.yaml, None where it does not count just these files, and
+    `message_count` are those in metadata.yaml, empty where it does not count just these files, and
     `notes` are messages for users on what is missing or ignored.
     """
 
     files: list[Path]
     described: bool = False
     custom_data: dict[str, str] = field(default_factory=dict)
-    message_count: Any = None
+    message_count: str = ""
     notes: list[str] = field(default_factory=list)
 
 
@@ -58,21 +82,23 @@ def find_files(path: Path) -> BagFiles:
     """
     if not path.exists():
         raise BagError(path, "there is no such file or folder")
-    if path.is_file():
+    if not path.is_dir():
         return _single(path)
     present = {storage_name(file): file for file in _storage_files(path)}
     if not present:
         inside = sorted(it.name for it in path.iterdir() if it.is_dir() and _storage_files(it))
         hint = f"; there is one in {', '.join(inside)}" if inside else ""
+        others = {file.name: _format_of(file) for file in sorted(path.iterdir())[:_MOST_OTHERS]}
+        hint += "".join(f"; {name} is {kind}" for name, kind in others.items() if kind)
         raise BagError(path, f"is not a bag: the folder holds no .mcap or .db3 file{hint}")
     found = BagFiles(list(present.values()))
     if not (path / METADATA).exists():
         found.notes.append(f"{METADATA} is missing, the storage was read without it")
     else:
         try:
-            yaml = YAML(typ="safe").load((path / METADATA).read_text(encoding="utf-8"))
-            information = yaml["rosbag2_bagfile_information"]
-            names = [PurePath(str(name)).name for name in information["relative_file_paths"]]
+            values = metadata_values(read_file(path / METADATA, _MOST_METADATA))
+            information = values["rosbag2_bagfile_information"]
+            names = [PurePath(name).name for name in information["relative_file_paths"]]
         except Exception as error:
             # A damaged file raises errors of YAML, of the text encoding, KeyError and others.
             reason = one_line_reason(error)
@@ -89,23 +115,59 @@ def storage_name(file: PurePath) -> str:
     return file.name.removesuffix(_ZSTD)
 
 
+def metadata_values(text: str | bytes) -> Any:
+    """Return the metadata of a bag, see `yaml_texts`; raises as it does, or if it is too long."""
+    if len(text) > _MOST_METADATA:
+        raise InvalidFileError(METADATA, f"{len(text)} bytes", f"at most {_MOST_METADATA} bytes")
+    return yaml_texts(text, _DEEPEST_METADATA)
+
+
 def custom_data(information: Any) -> dict[str, str]:
     """Return the custom data in the metadata of a bag as rosbag2 structures it."""
     custom = information.get("custom_data") if isinstance(information, dict) else None
-    return {str(key): str(it) for key, it in custom.items()} if isinstance(custom, dict) else {}
+    if not isinstance(custom, dict):
+        return {}
+    return {key: value for key, value in custom.items() if isinstance(value, str)}
+
+
+def object_of(text: str) -> dict[str, Any]:
+    """Return the JSON object in custom data; empty where there is none."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def foreign_format(head: bytes, suffix: str) -> str:
+    """Return what a file is, by its first bytes; empty where it may be what its suffix says."""
+    own = _BEGINNINGS.get(suffix, b"")
+    if own and head.startswith(own):
+        return ""
+    return next((kind for begin, kind in _FORMATS.items() if head.startswith(begin)), "")
+
+
+def _format_of(file: Path) -> str:
+    try:
+        with open_file(file) as stream:
+            return foreign_format(stream.read(_HEAD), file.suffix)
+    except (OSError, InvalidFileError):
+        return ""
 
 
 def _single(path: Path) -> BagFiles:
     if not storage_name(path).endswith(_SUFFIXES):
-        raise BagError(path, f"is not a bag: expected {_EXPECTED}")
-    found = BagFiles([path], described=True)
+        kind = _format_of(path)
+        found = f"it is {kind}; " if kind else ""
+        raise BagError(path, f"is not a bag: {found}expected {_EXPECTED}")
+    bag = BagFiles([path], described=True)
     others = [
         file.name for file in _storage_files(path.parent)
         if storage_name(file) != storage_name(path) and _recording(file) == _recording(path)
     ]
     if others:
-        found.notes.append(f"only {path.name} was read, not {', '.join(others)} beside it")
-    return found
+        bag.notes.append(f"only {path.name} was read, not {', '.join(others)} beside it")
+    return bag
 
 
 def _storage_files(folder: Path) -> list[Path]:
@@ -149,7 +211,8 @@ def _describe(
     if unlisted:
         found.notes.append(f"{', '.join(unlisted)} was ignored: {METADATA} does not list it")
     found.files, found.described = files, True
-    found.message_count = None if missing else information.get("message_count")
+    count = information.get("message_count")
+    found.message_count = count if isinstance(count, str) and not missing else ""
     found.custom_data = custom_data(information)
 
 

@@ -5,9 +5,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.model.state import QUATERNION, Vector, are_states
+from sphere_nmpc.model.state import POSE_SIZE, QUATERNION, Vector, are_states
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_sim.recording.bag_clock import OTHER_CLOCK, TOLERANCE, BagClock, longest_run
+from sphere_sim.recording.bag_clock import (
+    OTHER_CLOCK,
+    TOLERANCE,
+    BagClock,
+    longest_run,
+    stand_still,
+)
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.messages import Messages
 
@@ -21,14 +27,16 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
     Messages of other runs are removed.
     """
     entries = messages.decoded.get(topic, [])
-    if not entries:
-        reason = f"no message on {topic}"
-        reason = messages.incomplete(reason) if messages.notes else f"is empty: {reason}"
-        raise BagError(messages.path, reason)
-    states = np.array([message.state for _, message in entries])
+    given = [message.state for _, message in entries]
+    states: Vector = np.array(given, dtype=float).reshape(-1, POSE_SIZE)
     valid = are_states(states)
     if not np.any(valid):
-        raise BagError(messages.path, f"no message on {topic} holds a valid pose")
+        reason = f"no message on {topic}" + (" holds a valid pose" if entries else "")
+        if messages.notes:
+            reason = messages.incomplete(reason)
+        elif not entries:
+            reason = f"is empty: {reason}"
+        raise BagError(messages.path, reason)
     if not np.all(valid):
         messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
     states = states[valid]
@@ -36,7 +44,7 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
         [(log, it.stamp) for (log, it), use in zip(entries, valid, strict=True) if use],
         dtype=np.int64,
     ).T
-    kept, stamps = _usable(messages, topic, logs, stamps)
+    kept, stamps = _usable(messages, topic, logs, stamps, states)
     states, logs, stamps = states[kept], logs[kept], stamps[kept]
     run = longest_run(stamps)
     if run.stop - run.start < len(stamps):
@@ -56,17 +64,20 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
 
 
 def _usable(
-    messages: Messages, topic: str, logs: _Stamps, stamps: _Stamps
+    messages: Messages, topic: str, logs: _Stamps, stamps: _Stamps, states: Vector
 ) -> tuple[NDArray[np.bool_], _Stamps]:
     """Return which poses have a usable time, and the times of all [ns]."""
     lacking = _without_stamp(stamps)
     count, number = len(stamps), int(np.sum(lacking))
-    if 2 * number >= count:
+    why = f"{number} of {count} poses have the stamp 0" if 2 * number >= count else ""
+    if not why and stand_still(logs[~lacking], stamps[~lacking], states[~lacking]):
+        why = "the stamps of the poses do not advance as a time does"
+    if why:
         if count > 1 and logs.min() == logs.max():
             raise BagError(messages.path, f"{topic}: no pose has a stamp or a log time of its own")
         messages.notes.append(
-            f"{topic}: {number} of {count} poses have the stamp 0, so that their log times are "
-            "used, which are later by the time that they took to the recorder"
+            f"{topic}: {why}, so that their log times are used, which are later by the time that "
+            "they took to the recorder"
         )
         return np.ones(count, dtype=bool), logs
     if number:

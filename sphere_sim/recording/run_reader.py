@@ -3,9 +3,9 @@
 """Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`."""
 
 import dataclasses
-import json
 import math
 from collections import Counter
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.output.files import printable
-from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, storage_name
+from sphere_sim.recording.bag_clock import BagClock, stand_still
+from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, object_of, storage_name
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     CONTACTS,
@@ -99,11 +99,7 @@ def read_run(
 
 def _recorded_parameters(custom_data: dict[str, str], node: str) -> dict[str, Any]:
     """Return the recorded parameters of a node; empty where the bag does not have them."""
-    try:
-        values = json.loads(custom_data.get(f"{PARAMETERS_PREFIX}{node}", "{}"))
-    except ValueError:
-        return {}
-    return values if isinstance(values, dict) else {}
+    return object_of(custom_data.get(f"{PARAMETERS_PREFIX}{node}", ""))
 
 
 def _recorded_robot(values: dict[str, Any]) -> RobotParameters:
@@ -143,23 +139,29 @@ class _TopicReader:
         """Return times [s], rotor speeds (m, 2) [rad/s] and torques (m, 2) [N m]."""
         topic = self._joint_states
         entries = self._messages.decoded.get(topic, [])
-        rows = []
-        for received, message in entries:
-            rotors = message.of_rotors()
-            if rotors is not None:  # other joints, such as grippers, may use the same topic
-                time = self._time(topic, message, received)
-                rows.append([time, *map(known, rotors[1:].ravel().tolist())])
-        if entries and not rows:
+        # Other joints, such as grippers, may use the same topic ...
+        found = [(received, message, rotors) for received, message in entries
+                 if (rotors := message.of_rotors()) is not None]
+        if entries and not found:
             names = entries[0][1].names
             raise BagError(
                 self._messages.path,
                 f"{topic} names {shown(names)}, not {list(JOINT_NAMES)}: a bag of another robot",
             )
-        if not rows:
+        # ... and publishers of angles alone, for the display of the robot.
+        moving = [one for one in found if len(one[1].speeds)]
+        if not found:
             self._notes.append(f"{topic} is missing; no rotor speeds and torques")
-        table = np.array(rows, dtype=float).reshape(-1, 5)
-        times, first = np.unique(table[:, 0], return_index=True)
-        return times, table[first, 1:3], table[first, 3:5]
+        elif len(moving) < len(found):
+            self._notes.append(
+                f"{topic}: {len(found) - len(moving)} of {len(found)} messages have no velocities"
+            )
+        used = moving or found
+        values: Vector = np.array(
+            [list(map(known, rotors[1:].ravel().tolist())) for _, _, rotors in used]
+        ).reshape(-1, 4)
+        times, first = np.unique(self._times(topic, used, values), return_index=True)
+        return times, values[first, :2], values[first, 2:]
 
     def estimates(self, topic: str, times: Vector, states: Vector) -> Estimates:
         """Return the estimates of poses on a topic, with their errors from the true states.
@@ -169,12 +171,9 @@ class _TopicReader:
         entries = self._messages.decoded.get(topic, [])
         if topic and not entries:
             self._notes.append(f"{topic} is missing; no estimates of the poses")
-        found: Vector = np.array(
-            [(self._time(topic, message, received), *message.state)
-             for received, message in entries]
-        ).reshape(-1, 1 + POSE_SIZE)
-        stamps, first = np.unique(found[:, 0], return_index=True)
-        poses = found[first, 1:]
+        found: Vector = np.array([message.state for _, message in entries]).reshape(-1, POSE_SIZE)
+        stamps, first = np.unique(self._times(topic, entries, found), return_index=True)
+        poses = found[first]
         valid = are_states(poses)
         stamps, poses = stamps[valid], poses[valid]
         return Estimates(stamps, poses, estimate_errors(stamps, poses, times, states))
@@ -342,6 +341,8 @@ class _TopicReader:
                 if status.name != f"{place}{node}{ending}" or "/" in node:
                     continue
                 count = number(status.values, key) if key in status.values else 0.0
+                if not math.isfinite(count):
+                    continue
                 time = self._clock.time_of_message(message.stamp, received)
                 # A simulator that is started again counts from 0.
                 times += [time] * round(np.clip(count - before, 0.0, _MOST_CONTACTS))
@@ -360,6 +361,16 @@ class _TopicReader:
         time = self._clock.time_of_message(message.stamp, received, latched=latched)
         self._undated[topic] += time != self._clock.time_of_stamp(message.stamp)
         return time
+
+    def _times(self, topic: str, entries: Sequence[tuple[Any, ...]], values: Vector) -> Vector:
+        """Return the times [s] of messages, given with their log times and what they hold."""
+        logs, stamps = np.array(
+            [(entry[0], entry[1].stamp) for entry in entries], dtype=np.int64
+        ).reshape(-1, 2).T
+        if stand_still(logs, stamps, values):
+            self._undated[topic] += len(entries)
+            return np.array([self._clock.time_of_log(log) for log in logs.tolist()])
+        return np.array([self._time(topic, message, log) for log, message, *_ in entries])
 
     def _topics(self, ending: str) -> list[str]:
         """Return the topics of the robot with an ending, whatever the name of the node is."""

@@ -8,7 +8,6 @@ words, the name before any remapping, and the messages: joints named as the roto
 sphere that rolls.
 """
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -27,9 +26,9 @@ from sphere_nmpc.ros.cdr import (
     Trajectory,
     Vector3,
 )
-from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
+from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError, full_topic_name, object_of
 from sphere_sim.recording.message_fields import POSE_TOPIC, TRUE_POSE
-from sphere_sim.recording.messages import Messages, full_topic_name
+from sphere_sim.recording.messages import Messages
 
 _POSE, _JOINTS, _PLANS = TYPES[Pose], TYPES[Joints], TYPES[Trajectory]
 _NAMED = {
@@ -126,11 +125,7 @@ class _Bag:
 
     def stated(self, robot: str, nodes: Sequence[str]) -> dict[str, str]:
         """Return topics that the run itself states, by their names before any remapping."""
-        text = self._messages.custom_data.get(f"{TOPICS_PREFIX}{robot or '/'}", "{}")
-        try:
-            found = dict(json.loads(text))
-        except (ValueError, TypeError):
-            found = {}
+        found = object_of(self._messages.custom_data.get(f"{TOPICS_PREFIX}{robot or '/'}", ""))
         for node in nodes:
             for _, message in self._messages.decoded.get(f"{node}/status", ())[:1]:
                 if POSE_TOPIC in message.values:
@@ -238,11 +233,13 @@ class _Bag:
             return self._error(messages.incomplete(missing))
         if not messages.types:
             return self._error("is empty: it has no topic at all")
-        others = ", ".join(f"{topic} ({_last(messages.types[topic])})"
-                           for topic in sorted(messages.types))
-        return self._error(
-            f"{missing} in namespace {robot or '/'}, so a bag of another robot; has: {others}"
+        # Types of equal names are told apart by their packages.
+        others = ", ".join(
+            f"{topic} ({kind if _last(kind) == _last(_POSE) else _last(kind)})"
+            for topic, kind in sorted(messages.types.items())
         )
+        why = f"; it has {messages.unread}" if messages.unread else ", so a bag of another robot"
+        return self._error(f"{missing} in namespace {robot or '/'}{why}; has: {others}")
 
     def _error(self, reason: str) -> BagError:
         if self._candidates and "--pose-topic" not in reason:

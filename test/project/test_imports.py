@@ -16,7 +16,8 @@ from patience import PATIENCE
 from sphere_nmpc.child import module_command, python_command
 
 CORE_NEEDS = {"numpy", "scipy", "casadi", "sphere_nmpc"} | sys.stdlib_module_names
-MAP_FILES = {"yaml", "PIL"}
+FILE_READERS = {"sphere_nmpc.floor", "sphere_nmpc.foreign_file"}
+FILE_FORMATS = {"yaml", "PIL"}
 ROS_NAMES = {
     "rclpy", "std_srvs", "rcl_interfaces", "builtin_interfaces", "type_description_interfaces",
     "tf2_ros", "rosbag2_py",
@@ -32,9 +33,9 @@ def is_ros(name: str) -> bool:
 
 
 RULES: dict[str, Callable[[str, str], bool]] = {
-    "the core imports numpy, scipy, casadi, itself and readers of maps only": lambda here, name: (
+    "the core imports numpy, scipy, casadi, itself and readers of files only": lambda here, name: (
         top(here) == "sphere_nmpc" and here != "sphere_nmpc.ros" and top(name) not in CORE_NEEDS
-        and not (here == "sphere_nmpc.floor" and top(name) in MAP_FILES)
+        and not (here in FILE_READERS and top(name) in FILE_FORMATS)
     ),
     "rclpy and messages are imported in */ros only": lambda here, name: (
         not here.endswith(".ros") and is_ros(name)

@@ -66,6 +66,18 @@ def test_control_characters_are_escaped_and_long_texts_cut(text: str) -> None:
         assert result.splitlines() == [result]
 
 
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (np.float64("nan"), "nan"), ([np.float64(1.5), np.int64(2)], "[1.5, 2]"),
+        ((np.True_, np.str_("a")), "(True, 'a')"), ({"x": np.float32(0.5)}, "{'x': 0.5}"),
+        (np.zeros((2, 2)), "array([[0., 0.], [0., 0.]])"), ("np.float64(1)", "'np.float64(1)'"),
+    ],
+)
+def test_values_of_numpy_are_shown_as_plain_ones_in_one_line(value: object, text: str) -> None:
+    assert shown(value) == text
+
+
 def test_line_that_can_be_printed_stays_as_it_is() -> None:
     line = "pose refused: frame: given 'größe', expected 'world' or none"
     assert printable_line(line) == line

@@ -18,6 +18,7 @@ from sphere_sim.report.figures.style import (
     ORANGE,
     SMALLEST_ERROR,
     VERMILION,
+    from_start,
     legend_above,
     mark_missing,
     styled,
@@ -39,7 +40,7 @@ def error_over_time(run: Run) -> Figure:
         axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
         axes.annotate("settled below", (0.005, SETTLED_ERROR), color=GREY, fontsize=8,
                       xycoords=("axes fraction", "data"), ha="left", va="bottom")
-        axes.set_xlim(0.0, run.times[-1])
+        from_start(axes, run.times[-1])
         legend_above(axes)
         _label(axes, "error")
     return figure
@@ -63,7 +64,7 @@ def rotor_torques(run: Run) -> Figure:
         axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
                       (0.995, bound), xycoords=("axes fraction", "data"), color=GREY,
                       fontsize=8, ha="right", va="bottom")
-        axes.set_xlim(0.0, max(float(run.joint_times[-1]), 1e-3))
+        from_start(axes, run.joint_times[-1])
         axes.margins(y=0.12)
         legend_above(axes)
         _label(axes, "torque [N m]")
@@ -133,7 +134,7 @@ def momentum_over_time(run: Run) -> Figure:
             axes.step(momentum.times, momentum.values[:, i], linestyle=DASHES[i],
                       where="post", color=COLOURS[i], label=f"$H_{name}$")
         _draw_limits(axes, run.robot.rotor_axial_inertia * run.robot.max_rotor_speed)
-        axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
+        from_start(axes, run.times[-1])
         legend_above(axes)
         _label(axes, "momentum [N m s; world]")
     return figure
@@ -151,7 +152,7 @@ def clearance_over_time(run: Run) -> Figure:
         axes.axhline(0.0, color=VERMILION, linewidth=1.0)
         axes.annotate("touch", (0.005, 0.0), color=VERMILION, fontsize=8,
                       xycoords=("axes fraction", "data"), ha="left", va="bottom")
-        axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
+        from_start(axes, run.times[-1])
         legend_above(axes)
         _label(axes, "clearance [m]")
     return figure
@@ -171,7 +172,7 @@ def estimate_errors_over_time(run: Run) -> Figure:
             axes.axhline(0.0, color=GREY, linewidth=1.0)
             _label(axes, name)
         rows[0].label_outer()
-        rows[1].set_xlim(0.0, max(float(run.times[-1]), 1e-3))
+        from_start(rows[1], run.times[-1])
     return figure
 
 

@@ -18,6 +18,7 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     SMALLEST_ERROR,
+    from_start,
     legend_above,
     literal,
     mark_missing,
@@ -69,12 +70,12 @@ def side_by_side(first: Run, second: Run, title: str) -> Figure:
         for i, run in enumerate(runs):
             draw_rotor_speeds(speeds[i], run)
             speeds[i].set_title(f"{'cd'[i]}: {literal(run.name)}")
-            speeds[i].set_xlim(0.0, end)
+            from_start(speeds[i], end)
         path.plot(*first.states[0, :2], "o", color=BLACK, markersize=6, label="start")
         if first.goal is not None:
             path.plot(*first.goal[:2], "*", color=BLACK, markersize=13, label="goal", zorder=3)
         legend_above(path)
-        error.set_xlim(0.0, end)
+        from_start(error, end)
         _add_legend(figure, error)
         figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
     return figure

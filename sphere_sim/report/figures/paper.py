@@ -22,6 +22,7 @@ from sphere_sim.report.figures.style import (
     GREY,
     VERMILION,
     WALL,
+    from_start,
     legend_above,
     mark_missing,
     styled,
@@ -105,7 +106,7 @@ def _draw_floor(axes: Axes, run: Run) -> None:
 def draw_rotor_speeds(axes: Axes, run: Run) -> None:
     """Draw the rotor speeds over time, with their limits."""
     limit = run.robot.max_rotor_speed
-    if run.joint_times.size:
+    if np.any(np.isfinite(run.rotor_speeds)):
         for i in range(2):
             values = run.rotor_speeds[:, i]
             axes.plot(run.joint_times, values, DASHES[i], color=COLOURS[i], label=f"$u_{i + 1}$")
@@ -131,7 +132,7 @@ def _over_time(axes: Axes, run: Run, title: str, label: str) -> None:
     axes.set_title(title)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(label)
-    axes.set_xlim(0.0, max(float(run.times[-1]), 1e-3))
+    from_start(axes, run.times[-1])
 
 
 def contact_locus(run: Run) -> Figure:

@@ -78,6 +78,11 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     return files
 
 
+def from_start(axes: Axes, end: float) -> None:
+    """Let the axis of time reach from 0 to the end of a run [s], which may have one pose."""
+    axes.set_xlim(0.0, max(float(end), 1e-3))
+
+
 def legend_above(axes: Axes) -> None:
     """Add the legend of a panel beside its title, where it covers no curve."""
     number = len(axes.get_legend_handles_labels()[0])

@@ -107,11 +107,12 @@ def report_in_a_process(*arguments: str, limit: int | None = None, **environment
     )
 
 
-def test_report_of_one_bag_is_complete_also_outside_of_the_locale(tmp_path) -> None:
+def test_report_of_one_bag_is_complete_also_outside_of_locale_and_notebook(tmp_path) -> None:
     bag, out = write_own(tmp_path / "a&büg" / "bag", approach()), tmp_path / "örep"
     ended = report_in_a_process(
         str(bag), "--out", str(out), "--csv", "--parquet", LC_ALL="C", PYTHONUTF8="0",
         PYTHONCOERCECLOCALE="0", PYTHONIOENCODING="ascii",
+        MPLBACKEND="module://backend_of_the_kernel_of_a_notebook",
     )
     assert ended.returncode == 0, ended.stderr
     assert "settling time" in ended.stdout and "joint_states is missing" in ended.stderr

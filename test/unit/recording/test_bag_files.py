@@ -8,6 +8,7 @@ from contextlib import closing
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from recorded_bags import run_messages, write_own, write_rosbag2
 
 from sphere_sim.recording.bag_files import BagError
@@ -132,3 +133,73 @@ def test_write_ahead_log_of_a_killed_recorder_is_read(tmp_path) -> None:
         shutil.copytree(bag, killed)
     assert (killed / "mine_0.db3-wal").exists()
     assert len(read_run(killed).times) == 301
+
+
+CONVERT = "'rosbags-convert --src FILE.bag --dst FOLDER' converts a bag of ROS 1"
+
+
+@pytest.mark.parametrize(
+    ("encoding", "typed", "told"),
+    [
+        ("ros1", True, f"than by ROS 2 \\(CDR\\): 2 in 'ros1'; {CONVERT}; has: "
+         r"/controller/active_goal \(PoseStamped in ros1\), /pose \(PoseStamped in ros1\)$"),
+        ("protobuf", True, r"2 in 'protobuf'; has: .*/pose \(PoseStamped in protobuf\)$"),
+        ("json", False, r"2 in 'json'; has: .*/pose \(no type in json\)$"),
+        ("cdr", False, r"a bag of another robot; has: .*/pose \(no type\)$"),
+    ],
+)
+def test_encodings_that_are_not_those_of_ros_2_are_named(tmp_path, encoding, typed, told) -> None:
+    file = tmp_path / "a.mcap"
+    with file.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        number = 0
+        if typed:
+            number = writer.register_schema("geometry_msgs/PoseStamped", "ros1msg", b"")
+        for topic in ("/pose", "/controller/active_goal"):
+            channel = writer.register_channel(topic, encoding, number)
+            writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(BagError, match=told):
+        read_run(file)
+
+
+def test_topics_in_another_encoding_are_named_beside_a_run(tmp_path) -> None:
+    bag = write_rosbag2(tmp_path / "mine", run_messages(), "sqlite3")
+    with closing(sqlite3.connect(bag / "mine_0.db3")) as database:
+        change = "UPDATE topics SET serialization_format = 'json' WHERE name = '/joint_states'"
+        database.execute(change)
+        # As the first releases of ROS 2 wrote the types.
+        database.execute("UPDATE topics SET type = replace(type, '/msg/', '/')")
+        database.commit()
+    run = read_run(bag)
+    assert len(run.times) == 301
+    assert run.notes == (
+        "not read are topics encoded otherwise than by ROS 2 (CDR): 1 in 'json'",
+        "/joint_states is missing; no rotor speeds and torques",
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "told"),
+    [
+        ("a.bag", b"#ROSBAG V2.0\n", f"it is a recording of ROS 1; {CONVERT}; expected a folder"),
+        ("a.mcap", b"#ROSBAG V2.0\n", f"a.mcap is a recording of ROS 1; {CONVERT}"),
+        ("a.ulg", b"ULog\x01\x12\x35", r"it is a log of PX4 \(ULog\); expected"),
+        ("a.mcap", b"version https://git-lfs.github.com/spec/v1\n", "is a pointer of Git LFS"),
+        ("a.mcap", b"SQLite format 3\0", r"is a file whose name should end in \.db3"),
+        ("a.db3", b"\x89MCAP0\r\n", r"is a file whose name should end in \.mcap"),
+        ("a.mcap", b"\x28\xb5\x2f\xfd", r"is a file whose name should end in \.zstd"),
+        ("a.mcap.zstd", b"\x89MCAP0\r\n", r"is a file whose name should end in \.mcap"),
+        ("a.mcap", b"\x1f\x8b", "is compressed with gzip"),
+        ("a.csv", b"time,x,y\n", "is not a bag: expected a folder"),
+    ],
+)
+def test_recordings_of_other_formats_are_named(tmp_path, name, begin, told) -> None:
+    file = tmp_path / name
+    file.write_bytes(begin + bytes(100))
+    with pytest.raises(BagError, match=told):
+        read_run(file)
+    if not name.endswith((".mcap", ".db3", ".zstd", ".csv")):
+        with pytest.raises(BagError, match=f"holds no .mcap or .db3 file; {name} is a"):
+            read_run(tmp_path)

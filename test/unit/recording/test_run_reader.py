@@ -14,6 +14,7 @@ from recorded_bags import (
     Entry,
     changed,
     demand,
+    diagnostics,
     goal_at,
     in_order,
     momentum_messages,
@@ -179,6 +180,41 @@ def test_invalid_messages_and_numbers_of_no_robot_are_ignored(read) -> None:
         "/rotor_trajectory: 1 invalid trajectories were ignored",
     )
     figures(run)
+
+
+@pytest.mark.parametrize("order", [-1, 1], ids=["before", "behind"])
+@pytest.mark.parametrize("shift", [0, STEP // 3])
+def test_speeds_are_those_of_messages_that_have_velocities(read, whole, order, shift) -> None:
+    """Another publisher of joint states has angles alone, for the display of the robot."""
+    def stand(message) -> None:
+        message.velocity = message.effort = np.empty(0)
+
+    entries = list(run_messages())
+    angles = [changed(entry, stamp=entry[2] + shift, edit=stand) for entry in entries
+              if entry[0] == "/joint_states"]
+    run = read(in_order(*(angles if order < 0 else ()), *entries, *(angles if order > 0 else ())))
+    assert run.rotor_speeds.tolist() == whole.rotor_speeds.tolist()
+    assert run.joint_times.tolist() == whole.joint_times.tolist()
+    assert run.notes == ("/joint_states: 301 of 602 messages have no velocities",)
+    alone = read([*without(entries, "/joint_states"), *angles])
+    assert np.isnan(alone.rotor_speeds).all()
+    assert alone.notes == ("/joint_states: 301 of 301 messages have no velocities",)
+
+
+@pytest.mark.parametrize("log", [2**64 - 1, 2**63 - 1, 2**62])
+def test_messages_with_log_times_that_no_recorder_has_are_invalid(tmp_path, read, log) -> None:
+    entries = [e for e in run_messages() if e[0] == "/pose"]
+    late = changed(entries[100], log=log)
+    run = read([*entries, late])
+    assert len(run.times) == 301
+    assert run.notes[0] == "1 messages of type geometry_msgs/msg/PoseStamped are invalid"
+
+
+def test_counts_of_contacts_that_are_no_numbers_are_ignored(read) -> None:
+    counts = [diagnostics(START + i * STEP, "simulator: commands", wall_touched=count)
+              for i, count in enumerate(("many", "1", "nan", "1e300", "2"))]
+    run = read(in_order(*run_messages(), *counts))
+    assert run.floors.contact_times == pytest.approx([0.01, 0.04])
 
 
 def test_run_to_each_goal_has_what_belongs_to_it(read) -> None:

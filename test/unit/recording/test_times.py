@@ -106,8 +106,37 @@ NO_CLOCK = "stamps are not of the clock of the poses; the log times are used"
     ],
 )
 def test_messages_without_a_stamp_have_their_log_times(read, ending, note) -> None:
+    expect_log_times(read, ending, none, note)
+
+
+STANDING = "the stamps of the poses do not advance as a time does, so that their log"
+
+
+@pytest.mark.parametrize(
+    ("ending", "note"),
+    [("/pose", f"/pose: {STANDING}"), ("/joint_states", f"/joint_states: 301 {NO_CLOCK}")],
+)
+@pytest.mark.parametrize(
+    "stamp_of",
+    [
+        lambda number, log: NOW + START,
+        lambda number, log: log // S * S,
+        lambda number, log: NOW + START + number // 3 * 30 * MS,
+        lambda number, log: NOW + START + number,
+        lambda number, log: 7 * S,
+        lambda number, log: max(NOW + START, log // S * S - (number % 50 == 0)),
+    ],
+    ids=["constant", "whole seconds", "thrice", "nanoseconds", "of another clock", "jitter"],
+)
+def test_messages_whose_stamps_do_not_advance_have_their_log_times(
+    read, ending, note, stamp_of
+) -> None:
+    expect_log_times(read, ending, stamp_of, note)
+
+
+def expect_log_times(read, ending: str, stamp_of, note: str) -> None:
     expected = read(live(run_messages()))
-    run = read(restamped(live(run_messages()), ending, none))
+    run = read(restamped(live(run_messages()), ending, stamp_of))
     assert dataclasses.asdict(run.metrics()) == pytest.approx(
         dataclasses.asdict(expected.metrics()), nan_ok=True, rel=1e-6, abs=1e-6
     )
@@ -115,6 +144,28 @@ def test_messages_without_a_stamp_have_their_log_times(read, ending, note) -> No
         np.testing.assert_allclose(getattr(run, name), getattr(expected, name), atol=1e-6)
     (told,) = run.notes
     assert told.startswith(note)
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        # Simulated time that is paused, a hundred times slower, and as fast as possible.
+        [START + max(0, i - 200) * 10 * MS for i in range(301)],
+        [START + i * MS // 10 for i in range(301)],
+        [START + i * S for i in range(301)],
+        [START + i // 2 * 20 * MS for i in range(301)],  # twice
+    ],
+    ids=["paused", "slow", "fast", "twice"],
+)
+def test_stamps_of_simulated_time_are_used(read, stamps) -> None:
+    entries = restamped(run_messages(), "/pose", lambda number, log: stamps[number])
+    first = next(entry for entry in entries if entry[0] == "/pose")
+    # While simulated time is paused, the pose of that instant is repeated.
+    run = read(changed((*entry[:3], first[3]), log=entry[2])
+               if entry[0] == "/pose" and entry[3].header.stamp == first[3].header.stamp else entry
+               for entry in entries)
+    assert run.times == pytest.approx((np.unique(stamps) - stamps[0]) / S)
+    assert not any("stamps of the poses" in note for note in run.notes)
 
 
 FAR = "were ignored, whose stamps are far from those around them"

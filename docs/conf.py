@@ -8,9 +8,13 @@ The source folder is that of the package, so that relative links lead to the sam
 """
 
 import re
+import shlex
+import sys
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+
+from sphinx.util import logging
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / "package.xml")
@@ -21,13 +25,16 @@ project_copyright = f"2026 {author}"
 release = PACKAGE.findtext("version", "")
 
 nitpicky = True
-extensions = ["myst_parser", "sphinxcontrib.mermaid"]
+extensions = ["myst_parser", "sphinx-mathjax-offline", "sphinxcontrib.mermaid"]
 root_doc = "README"
 include_patterns = ["*.md", "docs/*.md", "msg_docs/*.md", "bench/README.md"]
 
 # What the documents use of the Markdown of forges.
 myst_enable_extensions = ["dollarmath", "strikethrough"]
 myst_fence_as_directive = ["mermaid"]
+# The drawing is made here: pages need nothing from another host.
+mermaid_output_format = "svg"
+mermaid_cmd = shlex.join([sys.executable, "-m", "mermaidx"])
 myst_heading_anchors = 6
 highlight_language = "text"
 suppress_warnings = ["myst.strikethrough"]  # "only in HTML", which is what is made
@@ -64,7 +71,16 @@ def add_index(app: Any, failure: Exception | None) -> None:
         (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
 
 
+def check_hosts(app: Any, failure: Exception | None) -> None:
+    """Warn of each page that loads a script or a style from another host."""
+    loaded = re.compile(r'<(?:script|link)\b[^>]*(?:src|href)="(https?:[^"]+)"')
+    for page in Path(app.outdir).rglob("*.html"):
+        for found in loaded.finditer(page.read_text(encoding="utf-8")):
+            logging.getLogger(__name__).warning("%s loads %s", page.name, found[1])
+
+
 def setup(app: Any) -> None:
     """Connect the functions above to the events of Sphinx."""
     app.connect("source-read", add_contents)
     app.connect("build-finished", add_index)
+    app.connect("build-finished", check_hosts)

@@ -31,7 +31,14 @@ from sphere_nmpc.model.state import NO_MOMENTUM, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
-from sphere_sim.report.figures.style import BLUE, GREY, SMALLEST_ERROR, VERMILION, styled
+from sphere_sim.report.figures.style import (
+    BLUE,
+    GREY,
+    ROTORS,
+    SMALLEST_ERROR,
+    VERMILION,
+    styled,
+)
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 from sphere_sim.world.plant.rigid_body.rigid_body_plant import RigidBodyPlant
 from sphere_sim.world.settings import SimulatorSettings
@@ -107,7 +114,7 @@ def draw_run(found: Trajectory, error: Axes, speed: Axes, name: str) -> None:
     error.legend()
     samples = ControllerSettings().control_period * np.arange(len(found.decisions))
     rest = np.array([rest_speeds(d.momentum, GOAL[QUATERNION]) for d in found.decisions])
-    for rotor, colour in enumerate((BLUE, VERMILION)):
+    for rotor, colour in enumerate(ROTORS):
         speed.plot(found.times, found.speeds[:, rotor], color=colour, label=f"rotor {rotor + 1}")
         speed.plot(samples, rest[:, rotor], color=colour, linestyle="--",
                    label=f"rotor {rotor + 1}, speed of rest")

@@ -15,7 +15,7 @@ from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.demo.run import run_demo
-from sphere_sim.output.arguments import finite, not_negative, positive, whole
+from sphere_sim.output.arguments import assignment, finite, not_negative, positive, whole
 from sphere_sim.output.files import prepare_folder
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.ros.session.domain import own_domain
@@ -62,6 +62,11 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
                         help="let time wait for the controller, so that runs repeat to the bit")
     parser.add_argument("--strategy", metavar="NAME",
                         help="what the controller solves: " + " or ".join(STRATEGIES))
+    parser.add_argument(
+        "--set", type=assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+        help="other settings as of sphere_nmpc study, such as horizon=8, plant=rigid_body or "
+        "robot.shell_mass=1.5",
+    )
     parser.add_argument("--seed", type=whole(0), default=0,
                         help="of all that is random (default: 0)")
     parser.add_argument("--duration", type=positive, default=60.0, metavar="S",
@@ -78,6 +83,7 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
             folder=out.expanduser().absolute(), case=given.case, start=given.start,
             goal=given.goal, real_time_factor=given.rtf, lockstep=given.lockstep,
             strategy=given.strategy or ControllerSettings.strategy, seed=given.seed,
+            settings=given.set,
             duration=given.duration, compare=not given.no_compare,
             viewer=not given.no_viewer and sys.stdout.isatty(),
             interactive=sys.stdin.isatty(),

@@ -9,6 +9,7 @@ traceback of an error.
 """
 
 import logging
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module

@@ -12,7 +12,14 @@ from sphere_nmpc.foreign_file import find_file
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.exits import if_interrupted
-from sphere_sim.output.arguments import cluster_address, not_negative, number, positive, whole
+from sphere_sim.output.arguments import (
+    assignment,
+    cluster_address,
+    not_negative,
+    number,
+    positive,
+    whole,
+)
 from sphere_sim.output.files import prepare_folder
 from sphere_sim.world.settings import PLANTS, POSE_SOURCES, SimulatorSettings
 
@@ -220,17 +227,10 @@ def _parser() -> argparse.ArgumentParser:
         help="factor on the effort of the searches for best known times (1)",
     )
     parser.add_argument(
-        "--set", type=_assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+        "--set", type=assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
         help="one or several other settings, in any order, each once: controller.NAME, "
         "simulator.NAME, robot.NAME, PLANT.NAME, disturbances.NAME or floor.NAME, such as "
         "controller.horizon=8; the prefix may be left out. msg_docs/parameters.md lists the "
         "names; one that no study reads is refused with those that it reads",
     )
     return parser
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise argparse.ArgumentTypeError(f"given {text}, expected NAME=VALUE")
-    return name.strip(), value.strip()

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plan of a demo: scenario, parameters of its nodes, and its end."""
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,10 +13,13 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
+from sphere_nmpc.quantity import quantities
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, SETTLED_ERROR
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.world.settings import SimulatorSettings
 
 DISTURBED_CASE = 4
 PROCESS_NOISE = 3e-4
@@ -51,6 +53,8 @@ class DemoPlan:
     """Whether time waits for the controller."""
     strategy: str = ControllerSettings.strategy
     seed: int = 0
+    settings: Sequence[tuple[str, str]] = ()
+    """Names and values of other settings, as `StudyConditions.with_settings` takes them."""
     duration: float = 60.0
     """Simulated time after which the run is given up [s]."""
     compare: bool = True
@@ -65,6 +69,9 @@ class DemoPlan:
         if self.strategy not in STRATEGIES:
             raise InvalidParameterError("--strategy", self.strategy, " or ".join(STRATEGIES))
         _ = self.scenario
+        if self.conditions.simulator.has_odometry:
+            expected = "pose, as a demo starts no odometry"
+            raise InvalidParameterError("pose_source", "odometry", expected)
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -121,28 +128,32 @@ class DemoPlan:
         """The strategy with which it is compared."""
         return "paper" if self.strategy == "time_optimal" else "time_optimal"
 
-    @property
-    def robot(self) -> RobotParameters:
-        """The simulated robot; the controller has the nominal one."""
-        nominal = RobotParameters()
-        if not self.disturbed:
-            return nominal
-        return perturbed(nominal, PERTURBATION, np.random.default_rng(self.seed))
+    @cached_property
+    def conditions(self) -> StudyConditions:
+        """Settings of simulation and controller, which has the nominal robot."""
+        given = [("controller.strategy", self.strategy), *self.settings]
+        simulator = SimulatorSettings(process_noise=PROCESS_NOISE if self.disturbed else 0.0)
+        return StudyConditions(simulator=simulator).with_settings(given)
 
-    @property
-    def world(self) -> dict[str, Any]:
-        """Settings of the simulation."""
-        noise = {"process_noise": PROCESS_NOISE} if self.disturbed else {}
-        return {"initial_state": tuple(self.scenario.start.tolist()), "seed": self.seed, **noise}
+    @cached_property
+    def robot(self) -> RobotParameters:
+        """The simulated robot."""
+        if not self.disturbed:
+            return self.conditions.robot
+        rng = np.random.default_rng(self.seed)
+        return perturbed(self.conditions.robot, PERTURBATION, rng)
 
     @property
     def simulator(self) -> dict[str, Any]:
         """Parameters of the simulator node."""
-        robot = dataclasses.asdict(self.robot) if self.disturbed else {}
+        conditions = self.conditions
+        plant = conditions.simulator.plant
         return {
-            **self.world, "initial_state": self.scenario.start.tolist(),
+            **_changed(conditions.simulator), **_changed(conditions.disturbances),
+            **_changed(conditions.of_plant, f"{plant}."), **self._floor("clearance"),
+            "initial_state": self.scenario.start.tolist(), "seed": self.seed,
             "real_time_factor": self.real_time_factor, "lockstep": self.lockstep,
-            "start_paused": True, **{f"robot.{name}": value for name, value in robot.items()},
+            "start_paused": True, **_changed(self.robot, "robot."),
         }
 
     @property
@@ -153,8 +164,9 @@ class DemoPlan:
         an old goal.
         """
         return {
-            "use_sim_time": True, "lockstep": self.lockstep, "strategy": self.strategy,
-            "goal_memory": 0.0,
+            "use_sim_time": True, "lockstep": self.lockstep, "goal_memory": 0.0,
+            **_changed(self.conditions.controller), "strategy": self.strategy,
+            **_changed(self.conditions.robot, "robot."), **self._floor(),
         }
 
     @property
@@ -162,6 +174,20 @@ class DemoPlan:
         """Parameters of the recorder node."""
         return {"use_sim_time": True, "output": str(self.bag)}
 
+    def _floor(self, *omitted: str) -> dict[str, Any]:
+        """Return the parameters of the floor but those that a node does not have."""
+        changed = _changed(self.conditions.floor)
+        return {name: value for name, value in changed.items() if name not in omitted}
+
     @property
     def _is_own(self) -> bool:
         return self.start is not None or self.goal is not None
+
+
+def _changed(settings: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the parameters of a node, by names with a prefix, that are not the defaults."""
+    values = {name: getattr(settings, name) for name in quantities(settings)}
+    return {
+        f"{prefix}{name}": list(value) if isinstance(value, tuple) else value
+        for name, value in values.items() if value != getattr(type(settings), name)
+    }

@@ -16,10 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sphere_nmpc import __version__
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.goal import Goal
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
@@ -32,8 +29,7 @@ from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.comparison import side_by_side
 from sphere_sim.report.figures.paper import paper_panels
 from sphere_sim.report.figures.style import save
-from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import Simulator
+from sphere_sim.study.single_run import assemble
 
 _AT_LEAST = 20.0
 """Shortest duration of the other run [s]: the paper's cases need up to 13."""
@@ -57,7 +53,7 @@ def hints_of(plan: DemoPlan, missed: float, reported: str, duration: float) -> s
     These are the sampling instants of `duration` [s] that the controller has missed, and what it
     has reported last.
     """
-    period = ControllerSettings(strategy=plan.strategy).control_period
+    period = plan.conditions.controller.control_period
     share = missed * period / max(period, duration)
     hints = [f"{100.0 * share:.0f} % of the sampling instants missed: --rtf 0 lets time wait for "
              "the controller"] if share >= _MANY_MISSED else []
@@ -158,13 +154,10 @@ def _table(plan: DemoPlan, figures: dict[str, dict[str, float]]) -> Table:
 
 def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
     """Run the other strategy without ROS, on the same plant and seed, at least as long."""
-    controller = ControllerSettings(strategy=plan.other_strategy)
+    conditions = plan.conditions.with_settings([("controller.strategy", plan.other_strategy)])
     trajectory = run_closed_loop(
-        Simulator(SimulatorSettings(**plan.world), plan.robot),
-        Controller(controller, RobotParameters()),
-        plan.scenario.goal,
-        max(_AT_LEAST, float(np.ceil(recorded.times[-1]))),
-        controller.control_period,
+        *assemble(conditions, plan.scenario, plan.robot), plan.scenario.goal,
+        max(_AT_LEAST, float(np.ceil(recorded.times[-1]))), conditions.controller.control_period,
     )
     tracked = [d for d in trajectory.decisions if d.solved]
     starts = [decision.plan.hold.start for decision in tracked]

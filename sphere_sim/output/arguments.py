@@ -45,6 +45,14 @@ def whole(least: int, most: int = 2**63 - 1) -> Callable[[str], int]:
     return convert
 
 
+def assignment(text: str) -> tuple[str, str]:
+    """Return name and value of a setting."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ArgumentTypeError(f"given {text}, expected NAME=VALUE")
+    return name.strip(), value.strip()
+
+
 def cluster_address(text: str) -> str:
     """Return the address of a Dask scheduler, such as ``tcp://host:8786``; tcp may be left out."""
     address = text if "://" in text else f"tcp://{text}"

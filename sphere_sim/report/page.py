@@ -21,11 +21,15 @@ from sphere_sim.report.reported import Reported, floor_metrics, odometry_metrics
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
        max-width: 72rem; margin: 2rem auto; padding: 0 1rem; }
+h1, h2, p { overflow-wrap: anywhere; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; }
 table { border-collapse: collapse; } caption { text-align: left; color: #555; }
 th, td { text-align: left; padding: .3rem 1.2rem .3rem 0; border-bottom: 1px solid #ddd; }
 td { font-variant-numeric: tabular-nums; }
-figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
+figure { margin: 1.2rem 0; overflow-x: auto; }
+/* On a phone each of two panels beside another has the width of the screen. */
+img { display: block; width: 100%; min-width: 44rem; max-width: 60rem; height: auto; }
+figcaption { position: sticky; left: 0; }
 .wide { overflow-x: auto; font-size: .85rem; margin-top: 1.5rem; }
 .wide th, .wide td { padding-right: .7rem; vertical-align: top; }
 .wide td { white-space: pre; }
@@ -191,7 +195,8 @@ def _goals(one: Reported) -> str:
         rows.append({
             "goal": str(columns["goal"]), "given at": f"{columns['time_s']:.3g} s",
             "start": "\n".join(start), "target": "\n".join(filter(None, target)),
-            **dict(_motion_results(run)),
+            # Of a single goal the summary has the results.
+            **(dict(_motion_results(run)) if len(one.recording.goals) > 1 else {}),
         })
     caption = f"{one.recording.name}: goals; states as x, y [m], below quaternion w, x, y, z"
     head = _cells(rows[0], 'th scope="col"')

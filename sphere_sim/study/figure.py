@@ -12,6 +12,7 @@ import numpy as np
 
 from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
+from sphere_sim.output.colours import SERIES, css
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.tables import Results, column, headline, replace_file
 
@@ -37,12 +38,15 @@ def draw(
     # Not pyplot, which would look for a display and keep the figure in memory.
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
+    from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=_PAGE, layout=ConstrainedLayoutEngine(w_pad=0.25, h_pad=0.15))
     axes = figure.subplots(3, 2, height_ratios=(3.0, 3.0, 2.0))
     figure.suptitle(f"Study\n{about}", fontsize=9)
     slowest = max(max(column(found, "settle_time_s"), default=1.0) for found in results.values())
     bins = np.linspace(0.0, max(slowest, 1.0), 31)
+    for axis in axes[:2].flat:
+        axis.set_prop_cycle(color=[css(colour) for colour in SERIES])
     for name, found in results.items():
         runs = len(found)
         _share(axes[0, 0], column(found, "settle_time_s"), runs, name)
@@ -53,6 +57,10 @@ def draw(
     _label_axes(axes[0, 1], "settling time [s]", "runs")
     _label_axes(axes[1, 0], "settling time / that of the best known motion", "share of all runs")
     _label_axes(axes[1, 1], "error at the end, ||x - x_d||", "share of all runs")
+    axes[0, 1].yaxis.set_major_locator(MaxNLocator(integer=True))
+    # One for all panels, beside them, where it covers no curve and no bar.
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right",
+                  ncols=len(results), fontsize=8)
     if any(np.any(column(found, "final_error") > 0.0) for found in results.values()):
         axes[1, 1].set_xscale("log")
     axes[1, 1].axvline(SETTLED_ERROR, color="grey", linewidth=0.8)
@@ -95,7 +103,6 @@ def _label_axes(axis: Any, horizontal: str, vertical: str) -> None:
     axis.set_xlabel(horizontal)
     axis.set_ylabel(vertical)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
 
 
 def _write_text(axis: Any, text: str, height: float) -> None:

@@ -17,6 +17,7 @@ from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -44,16 +45,24 @@ def floor_of(settings: FloorSettings, radius: float) -> tuple[Floor, Walls | Non
 
 
 def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
-    """Return simulator and controller of a run; the controller has the nominal parameters.
+    """Return simulator and controller of a run, with the true robot drawn by the scenario's seed.
 
     An error is raised if the settings do not fit together or the plant's package is missing.
     """
+    # Streams 0, 1 and 3 of this seed belong to the simulator.
+    rng = np.random.default_rng([scenario.seed, 2])
+    return assemble(
+        conditions, scenario, perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
+    )
+
+
+def assemble(
+    conditions: StudyConditions, scenario: Scenario, robot: RobotParameters
+) -> tuple[Simulator, Controller]:
+    """Return simulator and controller of a run; the controller has the nominal parameters."""
     simulation = replace(
         conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
     )
-    # Streams 0, 1 and 3 of this seed belong to the simulator.
-    rng = np.random.default_rng([scenario.seed, 2])
-    robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
     disturbances = replace(conditions.disturbances, **scenario.disturbances)
     # The limits of the drives are those of the nominal robot.
     own = conditions.of_plant.for_robot(conditions.robot)

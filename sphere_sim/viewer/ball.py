@@ -9,8 +9,8 @@ import viser
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.viewer import colours
-from sphere_sim.viewer.colours import Colour
+from sphere_sim.output import colours
+from sphere_sim.output.colours import Colour
 from sphere_sim.viewer.geometry import Mesh, cap, great_circle, octants, sector, segments
 
 _SLOWDOWN = 10.0

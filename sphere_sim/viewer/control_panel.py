@@ -16,8 +16,9 @@ from typing import Any
 
 import viser
 
+from sphere_sim.output import colours
 from sphere_sim.output.round_numbers import round_down
-from sphere_sim.viewer import colours, source
+from sphere_sim.viewer import source
 from sphere_sim.viewer.goal import GOAL_PRESETS
 from sphere_sim.viewer.source import Capabilities, Frame, PageRequest
 
@@ -287,10 +288,10 @@ def _number_lines(frame: Frame) -> str:
     There are always four lines, and one more on a floor that is not free everywhere, and with
     odometry: the widgets below must not move under the mouse pointer.
     """
-    distance = left = "–"
+    distance, left = "to the goal: –", "left: –"
     away, angle = source.errors_of(frame)
     if frame.goal is not None and math.isfinite(away):
-        turn = f"<b>{angle:.3f} rad</b>" if math.isfinite(angle) else ""
+        turn = f"<b>{math.degrees(angle):.2f}°</b>" if math.isfinite(angle) else ""
         parts = f"<b>{away:.3f} m</b>", turn, frame.goal.orientation.remark
         distance = f"to the goal: {', '.join(filter(None, parts))}"
     progress = frame.progress
@@ -300,7 +301,8 @@ def _number_lines(frame: Frame) -> str:
             left += f", <b>{progress.distance_left:.2f} m</b> of path"
     if progress.count > 1:
         left += f"; goal <b>{progress.index + 1} of {progress.count}</b>"
-    lines = [f"t = <b>{frame.time:.2f} s</b>", html.escape(frame.mode or "–"), distance, left]
+    mode = html.escape(frame.mode or "no plan yet")
+    lines = [f"t = <b>{frame.time:.2f} s</b>", mode, distance, left]
     if frame.floor is not None:
         clear = f"<b>{frame.clearance:.3f} m</b>" if math.isfinite(frame.clearance) else "–"
         lines.append(f"clearance of the plan {clear}")

@@ -14,8 +14,8 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
+from sphere_sim.output import colours
 from sphere_sim.scenario.scenarios import PAPER_CASES
-from sphere_sim.viewer import colours
 from sphere_sim.viewer.ball import add_shell
 from sphere_sim.viewer.source import DragGoal
 

@@ -8,9 +8,9 @@ import numpy as np
 import viser
 
 from sphere_nmpc.model.state import POSITION, Vector
+from sphere_sim.output import colours
+from sphere_sim.output.colours import Colour, linear
 from sphere_sim.output.round_numbers import grid_cell
-from sphere_sim.viewer import colours
-from sphere_sim.viewer.colours import Colour, linear
 from sphere_sim.viewer.geometry import Mesh, segments, without_repeats
 
 _CELLS = 12

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plots beside the scene, of the last seconds of a run."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,8 +13,8 @@ from viser import uplot
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_sim.viewer import colours
-from sphere_sim.viewer.colours import Colour, css
+from sphere_sim.output import colours
+from sphere_sim.output.colours import Colour, css
 from sphere_sim.viewer.source import Frame, errors_of, rotor_momentum
 
 _SMALLEST = 1e-9
@@ -50,9 +51,10 @@ class History:
             self._rows and frame.time < self._rows[-1][0] + _SPACING
         ):
             return
+        distance, angle = errors_of(frame)
         self._rows.append((
             frame.time,
-            *errors_of(frame),
+            distance, math.degrees(angle),
             *map(float, frame.rotor_speeds), *map(float, frame.rotor_torques),
             frame.cost, frame.to_go, 1e3 * frame.solve_time,
             *map(float, frame.momentum),
@@ -90,8 +92,8 @@ class Chart:
 
 
 CHARTS = (
-    Chart("error, log10: distance [m], angle [rad]", ("distance", "angle"),
-          ("distance", "angle"), (colours.BLUE, colours.VERMILION), (-3.0, 0.0),
+    Chart("error, log10: distance [m], angle [°]", ("distance", "angle"),
+          ("distance", "angle"), (colours.DISTANCE, colours.ANGLE), (-3.0, 0.0),
           logarithmic=True),
     Chart("rotor speeds [rad/s]", ("speed_1", "speed_2"), ("rotor 1", "rotor 2"),
           colours.ROTORS, (-1.0, 1.0), lambda robot: robot.max_rotor_speed),
@@ -99,7 +101,7 @@ CHARTS = (
           colours.ROTORS, (-0.625, 0.625), lambda robot: robot.full_torque),
     Chart("momentum about the contact point, world [N m s]",
           ("momentum_x", "momentum_y", "momentum_z"), ("x", "y", "z"),
-          (colours.BLUE, colours.VERMILION, colours.INK), (-0.25, 0.25), rotor_momentum,
+          colours.SERIES[:3], (-0.25, 0.25), rotor_momentum,
           disturbances=True),
     Chart("value of the control problem: time to go [s]", ("to_go",), ("time to go",),
           (colours.BLUE,), (0.0, 2.0)),

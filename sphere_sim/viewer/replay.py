@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.model.state import POSE, Vector, are_states
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_sim.recording.message_fields import HOLDING
@@ -103,6 +104,7 @@ class Replay:
             solve_time=float(run.solves.durations[solve]) if solve >= 0 else float("nan"),
             cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,
             to_go=to_go,
+            progress=self._progress(moment, solve, to_go),
             momentum=run.momentum.at(moment),
             mode=run.solves.statuses[solve] if solve >= 0 else "",
             setup=run.setup,
@@ -119,6 +121,11 @@ class Replay:
         if solve < 0:
             return float("nan")
         return 0.0 if solves.statuses[solve] == HOLDING else float(solves.to_go[solve])
+
+    def _progress(self, moment: float, solve: int, to_go: float) -> GoalReport:
+        """Return what is left of the way by the plan of a solve."""
+        since = moment - float(self._run.solves.times[solve]) if solve >= 0 else 0.0
+        return GoalReport(time_left=float(np.maximum(to_go - since, 0.0)))
 
     def _plan_at(self, moment: float) -> Vector:
         """Return the predicted states (n, 6) of the plan in force at its knots.

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from sphere_nmpc.model.state import POSITION, Vector, contact_points
-from sphere_sim.viewer import colours
+from sphere_sim.output import colours
 from sphere_sim.viewer.ball import Ball, Estimate
 from sphere_sim.viewer.geometry import arc
 from sphere_sim.viewer.ground import Ground, Trail

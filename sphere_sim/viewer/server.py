@@ -37,6 +37,11 @@ RequestHandler = Callable[[ServerConnection, Request], Response | None]
 HOST = "127.0.0.1"
 _PROTOCOL = f"viser-v{viser.__version__}"
 DEFAULT_PORT = 8080
+_HEAD = b"<title>Viser</title>", (
+    b"<title>sphere_nmpc</title><style>@media (max-width: 36em) "
+    b'{ [style*="max-height: 60%"] { max-height: 35% !important } }</style>'
+)
+"""Title of the page of viser, and what takes its place: a title, and a lower panel on a phone."""
 _ERROR_PERIOD = 60.0
 """Least time between two messages about the same error of a connection [s]."""
 
@@ -74,7 +79,15 @@ class AccessControl:
                 answer = connection.respond(HTTPStatus.FOUND, "")
                 answer.headers["Location"] = f"/?token={self._token}&websocket={websocket}"
                 return answer
-            return serve(connection, request)
+            # The page has its scripts compressed, and its head is read here.
+            if "Accept-Encoding" in request.headers:
+                del request.headers["Accept-Encoding"]
+            response = serve(connection, request)
+            if response is not None and _HEAD[0] in response.body:
+                response.body = response.body.replace(*_HEAD, 1)
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
+            return response
 
         return process
 

@@ -7,8 +7,8 @@ import viser
 
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import Vector
+from sphere_sim.output import colours
 from sphere_sim.output.floor_shapes import bordered, outlines
-from sphere_sim.viewer import colours
 from sphere_sim.viewer.geometry import Mesh
 
 _HEIGHT = 0.4

@@ -13,6 +13,7 @@ import numpy as np
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_sim.output.colours import ROTORS
 from sphere_sim.world.plant.rigid_body.bodies import Body, add_element, build_mechanism
 from sphere_sim.world.plant.rigid_body.mjcf import IMU, POSE
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
@@ -25,8 +26,10 @@ _NOTICE = """
 
 _COLOURS = {
     "shell": "0.7 0.8 0.9 0.25",
-    "rotor_1": "0.84 0.15 0.16 1",
-    "rotor_2": "0.17 0.63 0.17 1",
+    **{
+        f"rotor_{i}": " ".join(f"{part / 255.0:.2g}" for part in (*colour, 255))
+        for i, colour in enumerate(ROTORS, start=1)
+    },
     "counterweight_1": "0.35 0.35 0.35 1",
     "counterweight_2": "0.35 0.35 0.35 1",
 }

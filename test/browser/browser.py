@@ -106,9 +106,7 @@ class Browser:
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.call("Page.addScriptToEvaluateOnNewDocument", source=_SLOW_SCREEN)
-        width, height = self._size
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
-                  deviceScaleFactor=1.0, mobile=False)
+        self.resize(*self._size)
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -136,6 +134,11 @@ class Browser:
                 return answer["result"]
             self._store(answer.get("method", ""), answer.get("params", {}))
 
+    def resize(self, width: int, height: int) -> None:
+        """Set the size of the page [px]; a narrow one is that of a phone."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
+                  deviceScaleFactor=1.0, mobile=width < 500)
+
     def open(self, url: str) -> None:
         self.call("Page.navigate", url=url)
 
@@ -143,6 +146,7 @@ class Browser:
         """Leave the page, and forget what it has logged and requested."""
         self.meanwhile = lambda: None
         self.open("about:blank")
+        self.resize(*self._size)
         self.console.clear()
         self.requested.clear()
 

@@ -92,6 +92,34 @@ def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(shown, scri
     assert page.console == []
 
 
+PHONE = 390, 844
+
+
+def test_phone_shows_more_of_the_scene_than_of_the_panel(shown, script) -> None:
+    page, panel = shown, '[style*="max-height: 60%"]'
+    script.next = [Frame(state=STATE, goal=Goal(STATE), capabilities=Capabilities(stop=True))]
+    page.resize(*PHONE)
+    page.wait_for("to the goal")
+    page.wait(lambda: page.evaluate(f"!!document.querySelector('{panel}')"), "no panel")
+    page.wait(lambda: page.box(panel)[3] == pytest.approx(0.35 * PHONE[1], abs=1.0))
+    assert page.evaluate("document.title") == "sphere_nmpc"
+    assert page.console == []
+
+
+def test_figures_of_a_report_are_legible_on_a_phone(page, tmp_path, monkeypatch) -> None:
+    panels = {"panels": report_files.FIGURES["panels"]}
+    monkeypatch.setattr(report_files, "FIGURES", panels)
+    bag = write_own(tmp_path / "bag", rolling_messages())
+    assert main([str(bag), "--out", str(tmp_path / "report")]) == 0
+    page.resize(*PHONE)
+    page.open((tmp_path / "report" / "report.html").as_uri())
+    page.wait_for("Made by")
+    width = page.box("img")[2]
+    # Labels have 9.5 points on a figure of 960 pixels.
+    assert width * 9.5 / 0.75 / 960.0 > 9.0
+    assert page.evaluate("document.documentElement.scrollWidth") == PHONE[0]
+
+
 def test_walls_are_drawn_where_the_floor_is_occupied_and_go_with_it(shown, script) -> None:
     page, cells = shown, np.zeros((40, 40), dtype=bool)
     cells[20, 20] = True

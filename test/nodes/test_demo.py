@@ -47,7 +47,7 @@ def test_case_4_has_noise_and_another_robot(tmp_path) -> None:
     assert plan.simulator["process_noise"] == PROCESS_NOISE
     assert plan.simulator["robot.shell_mass"] == pytest.approx(1.0, abs=0.03)
     assert plan.simulator["robot.shell_mass"] != 1.0
-    assert plan.simulator["robot.max_rotor_speed"] == 100.0
+    assert "robot.max_rotor_speed" not in plan.simulator, "limits are no constants of a plant"
     assert plan.tolerance == LOOSELY_SETTLED
     assert plan.simulator == parse(["--case", "4", "--seed", "5"]).simulator
     others = [parse(["--case", str(case), "--rtf", "0"]) for case in (1, 2, 3)]
@@ -55,7 +55,28 @@ def test_case_4_has_noise_and_another_robot(tmp_path) -> None:
     assert all(o.simulator["lockstep"] and o.controller["lockstep"] for o in others)
 
 
-@pytest.mark.parametrize("wrong", [["--rtf", "-1"], ["--goal", "0", "0", "1", "1", "0", "0"]])
+def test_settings_are_parameters_of_the_nodes_that_have_them_and_of_the_other_run() -> None:
+    plan = parse([
+        "--strategy", "paper", "--set", "horizon=8", "plant=rigid_body", "robot.shell_mass=1.5",
+        "torque_limit=4", "slope=0.01", "floor=[[-9,-9],[9,-9],[9,9],[-9,9]]", "clearance=0.1",
+    ])
+    simulator, controller = plan.simulator, plan.controller
+    edge = "[[-9,-9],[9,-9],[9,9],[-9,9]]"
+    both = {"robot.shell_mass": 1.5, "floor": edge}
+    expected = {"horizon": 8, "clearance": 0.1, "strategy": "paper", **both}
+    assert controller.items() >= expected.items()
+    expected = {"plant": "rigid_body", "slope": 0.01, "rigid_body.torque_limit": 4.0, **both}
+    assert simulator.items() >= expected.items() and "clearance" not in simulator
+    assert plan.conditions.controller.horizon == 8 and plan.robot.shell_mass == 1.5
+    quiet = parse(["--case", "4", "--set", "process_noise=0"])
+    assert "process_noise" not in quiet.simulator
+
+
+@pytest.mark.parametrize("wrong", [
+    ["--rtf", "-1"], ["--goal", "0", "0", "1", "1", "0", "0"], ["--set", "horizon"],
+    ["--set", "nothing=1"], ["--set", "seed=1"], ["--set", "pose_source=odometry"],
+    ["--set", "horizon=8", "horizon=9"], ["--set", "robot.shell_mass=-1"],
+])
 def test_wrong_arguments_exit_with_2(wrong) -> None:
     with pytest.raises(SystemExit, match="2"):
         parse(wrong)

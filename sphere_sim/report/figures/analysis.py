@@ -12,12 +12,17 @@ from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import (
+    ANGLE,
+    BLACK,
     COLOURS,
     DASHES,
+    DISTANCE,
     GREY,
-    ORANGE,
+    ROTORS,
+    SKY,
     SMALLEST_ERROR,
     VERMILION,
+    WIDTH,
     from_start,
     legend_above,
     mark_missing,
@@ -32,14 +37,18 @@ def error_over_time(run: Run) -> Figure:
         if run.goal is None:
             mark_missing(axes, "goal")
             return figure
-        labels = (r"$\|x - x_d\|$ [m, -]", "distance [m]", "angle [rad]")
-        for i, (errors, label) in enumerate(zip(run.errors.T, labels, strict=True)):
+        norm, distance, angle = run.errors.T
+        for errors, dash, colour, label in (
+            (norm, "-.", BLACK, r"$\|x - x_d\|$ [m, -]"),
+            (distance, "-", DISTANCE, "distance [m]"),
+            (np.degrees(angle), "--", ANGLE, "angle [°]"),
+        ):
             if np.isfinite(errors).any():  # a goal may leave the orientation free
-                axes.semilogy(run.times, np.maximum(errors, SMALLEST_ERROR), DASHES[i],
-                              color=COLOURS[i], label=label)
+                axes.semilogy(run.times, np.maximum(errors, SMALLEST_ERROR), linestyle=dash,
+                              color=colour, label=label)
         axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
-        axes.annotate("settled below", (0.005, SETTLED_ERROR), color=GREY, fontsize=8,
-                      xycoords=("axes fraction", "data"), ha="left", va="bottom")
+        axes.annotate(r"$\|x - x_d\|$ settled below", (0.005, SETTLED_ERROR), color=GREY,
+                      fontsize=8, xycoords=("axes fraction", "data"), ha="left", va="bottom")
         from_start(axes, run.times[-1])
         legend_above(axes)
         _label(axes, "error")
@@ -58,7 +67,7 @@ def rotor_torques(run: Run) -> Figure:
             mark_missing(axes, "rotor torques")
             return figure
         for i in range(2):
-            axes.plot(run.joint_times, run.rotor_torques[:, i], DASHES[i], color=COLOURS[i],
+            axes.plot(run.joint_times, run.rotor_torques[:, i], DASHES[i], color=ROTORS[i],
                       label=f"$M_{i + 1}$")
         _draw_limits(axes, bound)
         axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
@@ -74,7 +83,7 @@ def rotor_torques(run: Run) -> Figure:
 def solve_times(run: Run) -> Figure:
     """Draw the solve times over time and as a histogram, with median and 99th percentile."""
     with styled():
-        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 4.0), layout="constrained")
         over_time, histogram = figure.subplots(1, 2)
         over_time.set_title("Solve time")
         durations = 1e3 * run.solves.durations
@@ -88,7 +97,7 @@ def solve_times(run: Run) -> Figure:
         _label(over_time, "solve time [ms]")
         # By their number: by the spread, one long solve would take any number of bins.
         histogram.hist(durations[known], bins="sturges", color=COLOURS[0], alpha=0.85)
-        for percent, colour, name in ((50, ORANGE, "median"), (99, VERMILION, "p99")):
+        for percent, colour, name in ((50, BLACK, "median"), (99, VERMILION, "p99")):
             value = float(np.percentile(durations[known], percent))
             histogram.axvline(value, color=colour, label=f"{name} {three_digits(value)} ms")
         histogram.set_xlabel("solve time [ms]")
@@ -147,7 +156,7 @@ def clearance_over_time(run: Run) -> Figure:
         figure, axes = _single("Clearance to what is occupied")
         if floors.report_times.size:
             axes.step(floors.report_times, floors.clearances, linestyle=DASHES[1], where="post",
-                      color=COLOURS[5], label="of the plan, reported")
+                      color=SKY, label="of the plan, reported")
         axes.plot(run.times, run.clearances, color=COLOURS[0], label="of the sphere, by its poses")
         axes.axhline(0.0, color=VERMILION, linewidth=1.0)
         axes.annotate("touch", (0.005, 0.0), color=VERMILION, fontsize=8,
@@ -162,13 +171,13 @@ def estimate_errors_over_time(run: Run) -> Figure:
     """Draw the errors of the pose that odometry estimates: distance, and angle of the heading."""
     estimates = run.estimates
     with styled():
-        figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
         rows = figure.subplots(2, 1, sharex=True)
         rows[0].set_title("Error of the odometry")
         for i, (axes, unit, name) in enumerate(zip(
-            rows, (1e3, np.degrees(1.0)), ("position [mm]", "heading [deg]"), strict=True
+            rows, (1e3, np.degrees(1.0)), ("position [mm]", "heading [°]"), strict=True
         )):
-            axes.plot(estimates.times, unit * estimates.errors[:, i], color=COLOURS[i])
+            axes.plot(estimates.times, unit * estimates.errors[:, i], color=(DISTANCE, ANGLE)[i])
             axes.axhline(0.0, color=GREY, linewidth=1.0)
             _label(axes, name)
         rows[0].label_outer()
@@ -177,7 +186,7 @@ def estimate_errors_over_time(run: Run) -> Figure:
 
 
 def _single(title: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.0), layout="constrained")
     axes = figure.subplots()
     axes.set_title(title)
     return figure, axes

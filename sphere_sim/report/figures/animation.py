@@ -19,7 +19,7 @@ from sphere_sim.evaluation.metrics import settling_index
 from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import grid_cell
 from sphere_sim.recording.run import Run
-from sphere_sim.report.figures.style import BLUE, GREY, ORANGE, VERMILION
+from sphere_sim.report.figures.style import BLUE, GAMMA, GOAL, GREY, PATH, ROTORS
 
 _SIZE = (640, 300)
 _OVERSAMPLING = 2
@@ -110,7 +110,8 @@ def write_animation(run: Run, path: Path) -> None:
     floor = _floor(camera, run, radius)
     frames = [_frame(camera, floor, run, int(i), radius) for i in indices]
     # With one palette for all frames colours do not flicker.
-    palette = frames[len(frames) // 2].quantize(_COLOURS, Image.Quantize.MEDIANCUT)
+    # Others give the thin lines and crosses colours of large parts.
+    palette = frames[len(frames) // 2].quantize(_COLOURS, Image.Quantize.FASTOCTREE)
     paletted = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     milliseconds = [round(1e3 / _FRAME_RATE)] * len(frames)
     milliseconds[-1] = round(1e3 * _LAST_FRAME)
@@ -148,12 +149,12 @@ def _frame(
     draw = ImageDraw.Draw(picture)
     past = run.states[: index + 1, POSITION]
     if len(past) > 1:
-        draw.line(camera.project(np.column_stack((past, np.zeros(len(past))))), fill=BLUE,
+        draw.line(camera.project(np.column_stack((past, np.zeros(len(past))))), fill=PATH,
                   width=3 * _OVERSAMPLING, joint="curve")
     arm = _ARM * _drawn_size(camera, radius)
     _cross(draw, camera, run.states[0, POSITION], arm, GREY)
     if run.goal is not None:
-        _cross(draw, camera, run.goal[POSITION], arm, VERMILION)
+        _cross(draw, camera, run.goal[POSITION], arm, GOAL)
     x, y = run.states[index, POSITION]
     _paint_ball(picture, camera, (x, y, radius), run.states[index, QUATERNION], radius)
     _caption(ImageDraw.Draw(picture), run, index, radius)
@@ -221,14 +222,14 @@ def _paint_ball(
 
 def _shell_colours(points: Vector) -> Vector:
     """Return the colours of points of the unit sphere, shape (..., 3) [body frame]."""
-    blue, orange, vermilion = (
-        np.array(ImageColor.getrgb(name), dtype=float) for name in (BLUE, ORANGE, VERMILION)
+    blue, gamma, *rotors = (
+        np.array(ImageColor.getrgb(name), dtype=float) for name in (BLUE, GAMMA, *ROTORS)
     )
     odd = np.prod(points, axis=-1) > 0.0
     colours = np.where(odd[..., None], blue + 0.25 * (255.0 - blue), 250.0)
-    colours[np.abs(points[..., 2]) < _BELT] = vermilion
-    hubs = np.max(np.abs(points[..., :2]), axis=-1) > _HUB
-    colours[hubs] = orange
+    colours[np.abs(points[..., 2]) < _BELT] = gamma
+    for axis, colour in enumerate(rotors):
+        colours[np.abs(points[..., axis]) > _HUB] = colour
     return colours
 
 

@@ -18,6 +18,7 @@ from sphere_sim.report.figures.style import (
     DASHES,
     GREY,
     SMALLEST_ERROR,
+    WIDTH,
     from_start,
     legend_above,
     literal,
@@ -32,7 +33,7 @@ _AFTERWARDS = 2.0
 def comparison(runs: Sequence[Run]) -> Figure:
     """Draw errors, paths, largest rotor speeds and solve times of several runs together."""
     with styled():
-        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
         error, path, speed, solve = figure.subplots(2, 2).flat
         _draw_errors_and_paths(error, path, runs)
         for i, run in enumerate(runs):
@@ -64,7 +65,7 @@ def side_by_side(first: Run, second: Run, title: str) -> Figure:
     runs = (first, second)
     end = min(max(run.times[-1] for run in runs), _end_of_interest(runs))
     with styled():
-        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
         error, path, *speeds = figure.subplots(2, 2).flat
         _draw_errors_and_paths(error, path, runs)
         for i, run in enumerate(runs):

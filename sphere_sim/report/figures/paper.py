@@ -16,12 +16,16 @@ from sphere_sim.output.floor_shapes import bordered, cropped, outlines
 from sphere_sim.recording.run import Run
 from sphere_sim.report.figures.style import (
     BLACK,
-    BLUE,
     COLOURS,
     DASHES,
+    GAMMA,
+    GOAL,
     GREY,
-    VERMILION,
+    PATH,
+    ROTORS,
+    TRACE,
     WALL,
+    WIDTH,
     from_start,
     legend_above,
     mark_missing,
@@ -32,7 +36,7 @@ from sphere_sim.report.figures.style import (
 def paper_panels(run: Run, title: str | None = None) -> Figure:
     """Draw the four panels of a run, with a title above them if it is given."""
     with styled():
-        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
         position, euler, path, speeds = figure.subplots(2, 2).flat
         _draw_position(position, run)
         _draw_euler_parameters(euler, run)
@@ -66,11 +70,11 @@ def _draw_euler_parameters(axes: Axes, run: Run) -> None:
 def _draw_path(axes: Axes, run: Run) -> None:
     """Draw the path of the centre on the plane with start and goal, and what is occupied there."""
     x, y = run.states[:, 0], run.states[:, 1]
-    axes.plot(x, y, color=BLUE)
+    axes.plot(x, y, color=PATH)
     axes.plot(x[0], y[0], "o", color=BLACK, markersize=6, label="start")
     goal = run.goal
     if goal is not None:
-        axes.plot(goal[0], goal[1], "*", color=VERMILION, markersize=13, label="goal", zorder=3)
+        axes.plot(goal[0], goal[1], "*", color=GOAL, markersize=13, label="goal", zorder=3)
     # Motions that are small beside the sphere must not fill the panel: it shows a radius at least.
     middle = 0.5 * np.array((x.min() + x.max(), y.min() + y.max()))
     half = 0.5 * run.robot.shell_radius
@@ -109,7 +113,7 @@ def draw_rotor_speeds(axes: Axes, run: Run) -> None:
     if np.any(np.isfinite(run.rotor_speeds)):
         for i in range(2):
             values = run.rotor_speeds[:, i]
-            axes.plot(run.joint_times, values, DASHES[i], color=COLOURS[i], label=f"$u_{i + 1}$")
+            axes.plot(run.joint_times, values, DASHES[i], color=ROTORS[i], label=f"$u_{i + 1}$")
         for side in (-limit, limit):
             axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
         axes.set_ylim(-1.12 * limit, 1.12 * limit)
@@ -146,7 +150,7 @@ def contact_locus(run: Run) -> Figure:
     angle = np.linspace(0.0, 2.0 * np.pi, 361)
     circle = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
     with styled():
-        figure = Figure(figsize=(10.0, 5.2), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
         views = ((22.0, -50.0), (-22.0, 130.0))
         for place, (elevation, azimuth) in enumerate(views):
             axes = figure.add_subplot(1, 2, place + 1, projection="3d")
@@ -156,8 +160,8 @@ def contact_locus(run: Run) -> Figure:
             axes.set_axis_off()
             towards = _towards_viewer(elevation, azimuth)
             _draw_graticule(axes, towards)
-            _draw_curve(axes, circle, towards, VERMILION, 2.0, r"circle $\Gamma$")
-            _draw_curve(axes, points, towards, BLUE, 1.8, "contact point")
+            _draw_curve(axes, circle, towards, GAMMA, 2.0, r"circle $\Gamma$")
+            _draw_curve(axes, points, towards, TRACE, 1.8, "contact point")
             _draw_axes_of_rotors(axes, towards)
             for point, marker, name in ((points[0], "o", "start"), (points[-1], "*", "end")):
                 size, seen = (40 if marker == "o" else 110), point @ towards > 0.0
@@ -210,14 +214,14 @@ def _draw_graticule(axes: Any, towards: Vector) -> None:
 
 def _draw_axes_of_rotors(axes: Any, towards: Vector) -> None:
     """Mark the ends of the rotors' axes."""
-    for direction, name in (((1, 0, 0), "rotor 1"), ((0, 1, 0), "rotor 2")):
+    for axis, colour in enumerate(ROTORS):
         for sign in (1.0, -1.0):
-            place = sign * np.array(direction, dtype=float)
+            place = sign * np.eye(3)[axis]
             if float(place @ towards) < 0.0:
                 continue
-            axes.scatter(*place, marker="s", s=18, color=VERMILION, depthshade=False)
+            axes.scatter(*place, marker="s", s=40, color=colour, depthshade=False)
             axes.text(
-                *(place - (0.0, 0.0, 0.09)), name, color=BLACK, fontsize=8, ha="center", va="top",
-                zorder=20,
+                *(place - (0.0, 0.0, 0.09)), f"rotor {axis + 1}", color=BLACK, fontsize=8,
+                ha="center", va="top", zorder=20,
                 bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
             )

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common style of the figures, and their files.
 
-The colours are those of Okabe and Ito, which people with any colour vision can distinguish; lines
-also differ in their dashes, for print without colour.
+Curves differ in their dashes besides their colours, for print without colour.
 """
 
 import io
@@ -16,13 +15,22 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sphere_sim.output import colours
+from sphere_sim.output.colours import css
 from sphere_sim.output.files import write_atomically
 
-BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-ORANGE, SKY, BLACK, GREY = "#E69F00", "#56B4E9", "#000000", "#777777"
+BLUE, VERMILION, SKY, BLACK, GREY = (
+    *map(css, (colours.BLUE, colours.VERMILION, colours.SKY)), "#000000", "#777777",
+)
+COLOURS, ROTORS = tuple(map(css, colours.SERIES)), tuple(map(css, colours.ROTORS))
+PATH, GOAL, GAMMA, TRACE = (
+    css(colour) for colour in (colours.PATH, colours.GOAL, colours.GAMMA, colours.TRACE)
+)
+DISTANCE, ANGLE = map(css, (colours.DISTANCE, colours.ANGLE))
 WALL = "#b4bcc4"
-COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 1)))
+WIDTH = 10.0
+"""Width of all figures of a run [inch]."""
 FORMATS = ("png", "svg")
 SMALLEST_ERROR = 1e-7
 """Smallest error on a logarithmic axis [mixed units]."""

@@ -21,9 +21,9 @@ from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.settings import FrameSettings
+from sphere_sim.output import colours
+from sphere_sim.output.colours import Colour
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
-from sphere_sim.viewer import colours
-from sphere_sim.viewer.colours import Colour
 from sphere_sim.viewer.geometry import great_circle
 
 _PERIOD = 0.1

@@ -126,6 +126,7 @@ def test_report_of_one_bag_is_complete_also_outside_of_locale_and_notebook(tmp_p
     metrics = report.summary["a&büg"]["metrics"]
     assert metrics["settled"] and metrics["settle_time_s"] == pytest.approx(0.47, abs=1e-9)
     assert metrics["max_rotor_speed"] is None
+    assert report.page.count("<td>0.47 s</td>") == 1, "its only goal has no table of the same"
     sources = re.findall(r'(?:src|href)="([^"]*)"', report.page)
     assert len(sources) == len(FIGURES)
     assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)

@@ -49,6 +49,13 @@ def get(url: str, host: str = "") -> tuple[int, str]:
         return error.code, error.read().decode()
 
 
+def test_page_has_the_title_of_this_package(server) -> None:
+    status, page = get(f"{server.url}&websocket=ws://127.0.0.1:{server.get_port()}/?"
+                       f"{urlsplit(server.url).query}")
+    assert status == 200 and page.count("<title>") == 1
+    assert "<title>sphere_nmpc</title>" in page and page.endswith("</html>\n")
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_own_page_is_accepted_under_both_names(server, host) -> None:
     origin = f"http://{host}:{server.get_port()}"

@@ -230,6 +230,14 @@ def test_seek_speed_pause_and_reset(replay, wall) -> None:
     assert "recording" in replay.handle(SetGoal(np.zeros(6)))
 
 
+def test_time_left_is_that_of_the_newest_solve_less_the_time_since(replay) -> None:
+    solves = replace(replay._run.solves, to_go=np.array([3.0]))
+    replay = Replay(replace(replay._run, solves=solves))
+    for moment, left in ((4.0, np.nan), (5.0, 3.0), (7.25, 0.75), (9.0, 0.0)):
+        replay.handle(Seek(moment))
+        assert replay.frames()[-1].progress.time_left == pytest.approx(left, nan_ok=True)
+
+
 def test_plan_solve_goal_momentum_and_floor_are_those_at_the_time_of_the_frame(replay) -> None:
     replay.handle(Seek(4.0))
     before = replay.frames()[-1]

@@ -150,6 +150,15 @@ def test_what_is_left_of_the_way_is_shown(show, viewer) -> None:
     lines = shown.count("<br>")
     viewer._panel.show(at(1.0, 2.0), 0.5)
     assert viewer._panel._numbers.content.count("<br>") == lines, "widgets below would move"
+    assert "no plan yet<br>to the goal: –<br>left: –<" in viewer._panel._numbers.content
+
+
+def test_errors_are_shown_in_metres_and_degrees(show, viewer) -> None:
+    show(at(1.0, 2.0, goal=Goal(make_state((1.0, 2.0), (0.0, 1.0, 0.0, 0.0)))))
+    assert "to the goal: <b>0.000 m</b>, <b>180.00°</b><br>" in viewer._panel._numbers.content
+    history = History()
+    history.add(viewer._frame)
+    assert history.series()["angle"] == pytest.approx([180.0])
 
 
 def widget(viewer: Viewer, label: str):

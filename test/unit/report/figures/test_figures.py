@@ -13,12 +13,15 @@ from PIL import Image
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.goal import Goal
+from sphere_sim.output import colours
+from sphere_sim.output.colours import css
 from sphere_sim.recording.run import Floors, Momentum, Run, Solves
 from sphere_sim.report.figures import analysis
+from sphere_sim.report.figures.analysis import rotor_torques
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison, side_by_side
 from sphere_sim.report.figures.paper import contact_locus, paper_panels
-from sphere_sim.report.figures.style import save
+from sphere_sim.report.figures.style import WIDTH, save
 
 pytestmark = pytest.mark.slow
 
@@ -66,6 +69,21 @@ def test_equal_runs_give_equal_files(tmp_path) -> None:
         save(FIGURES["value"](make_run()), tmp_path, name)[1] for name in ("one", "two")
     )
     assert one.read_bytes() == two.read_bytes()
+
+
+def test_rotors_have_the_colours_that_they_have_on_the_page_and_runs_have_others() -> None:
+    rotors = [css(colour) for colour in colours.ROTORS]
+    errors, _, first, second = side_by_side(make_run(), make_run(), "both").axes
+    for axes in (paper_panels(make_run()).axes[3], rotor_torques(make_run()).axes[0], first,
+                 second):
+        assert [line.get_color() for line in axes.lines[:2]] == rotors
+    assert not {line.get_color() for line in errors.lines} & {*rotors}
+    assert not {*colours.SERIES} & {*colours.ROTORS}
+
+
+def test_figures_of_a_run_have_one_width() -> None:
+    figures = [draw(make_run()) for draw in FIGURES.values()]
+    assert {figure.get_figwidth() for figure in figures} == {WIDTH}
 
 
 @pytest.mark.parametrize("name", ["panels", "error", "momentum", "solve", "side_by_side"])

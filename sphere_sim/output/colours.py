@@ -1,6 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Colours of scene and plots, from the palette of Okabe and Ito."""
+"""Colours of pages, figures and models of the robot, and what each stands for.
+
+They are those of Okabe and Ito, which people with any colour vision can distinguish.
+"""
 
 Colour = tuple[int, int, int]
 
@@ -15,7 +18,10 @@ INK: Colour = (38, 50, 62)
 WHITE: Colour = (255, 255, 255)
 
 ROTORS = (ORANGE, GREEN)
-PATH = BLUE
+SERIES = (BLUE, VERMILION, PURPLE, SKY, INK)
+"""Colours of other curves, such as runs, strategies and components, in this order."""
+PATH = DISTANCE = BLUE
+ANGLE = VERMILION
 PLAN = SKY
 GOAL = PURPLE
 ESTIMATE = YELLOW

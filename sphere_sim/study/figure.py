@@ -3,6 +3,7 @@
 """Figure of a study on one page."""
 
 import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,8 @@ def describe(conditions: StudyConditions, runs: int) -> str:
     return (
         f"{runs} scenarios of {conditions.duration:g} s, plant {simulator.plant}, parameters "
         f"+-{conditions.perturbation:g} %, process noise {simulator.process_noise:g} a sample,\n"
-        f"pose noise {simulator.position_noise:g} m and {simulator.orientation_noise:g} rad, "
+        f"pose noise {simulator.position_noise:g} m and "
+        f"{math.degrees(simulator.orientation_noise):.3g}°, "
         f"latency {conditions.latency:g} s"
     )
 

@@ -88,7 +88,7 @@ def describe(conditions: StudyConditions, runs: int) -> str:
         f"{runs} scenarios of {conditions.duration:g} s, plant {simulator.plant}, parameters "
         f"+-{conditions.perturbation:g} %, process noise {simulator.process_noise:g} a sample,\n"
         f"pose noise {simulator.position_noise:g} m and "
-        f"{math.degrees(simulator.orientation_noise):.3g} deg, "
+        f"{math.degrees(simulator.orientation_noise):.3g}°, "
         f"latency {conditions.latency:g} s"
     )
 

@@ -17,7 +17,7 @@ from sphere_sim.ros.session.process_set import ProcessSet, parameter_options
 FACTOR = 4.0
 """Simulated over wall time."""
 AT_REST = 0.01
-"""Largest way [m] of a sphere at rest, whose last commands and poses a busy machine delays."""
+"""Largest way of a sphere at rest [m]."""
 
 
 class Session:
@@ -71,12 +71,17 @@ class Session:
         self.graph.until(lambda: len(self.statuses) > seen + 1)
         return self.statuses[-1]
 
-    def way_at_rest(self) -> float:
-        """Return how far the sphere moves within half a second [m]."""
-        self.status()
-        before = self.place
-        self.graph.spin_for(0.5)
-        return float(np.linalg.norm(self.place - before))
+    def wait_for_rest(self) -> None:
+        """Wait until the sphere stays in place for half a second.
+
+        Its last commands and poses may be late on a busy machine.
+        """
+        def rests() -> bool:
+            before = self.place
+            self.graph.spin_for(0.5)
+            return bool(np.linalg.norm(self.place - before) < AT_REST)
+
+        self.graph.until(rests)
 
     def restart(self, name: str) -> None:
         """Kill a node and start it again."""

@@ -27,6 +27,7 @@ SHARED = (
 )
 READING = [
     "rosbags>=0.11,<0.12", "mcap>=1.2,<2", "ruamel.yaml>=0.18", "pyyaml>=5.4", "zstandard>=0.22",
+    "lz4>=4",
 ]
 """To read recordings. Of rosbags the type store and the form in which bags hold QoS profiles are
 used; its minor versions below 1.0 change interfaces, as 0.11 did those of the reader."""

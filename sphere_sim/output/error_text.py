@@ -11,7 +11,7 @@ from sphere_nmpc.foreign_text import printable_line
 # Extra of setup.py -> import names it brings, message packages apart.
 EXTRAS = {
     "ros": ("rclpy", "ament_index_python", "builtin_interfaces", "rcl_interfaces", "std_srvs"),
-    "record": ("rosbags", "mcap", "mcap_ros2", "ruamel", "zstandard"),
+    "record": ("rosbags", "mcap", "mcap_ros2", "ruamel", "zstandard", "lz4"),
     "sim": ("rich", "matplotlib", "scipy"),
     "study": ("dask", "distributed"),
     "rigid": ("mujoco",),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import LARGEST
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.colours import SERIES, css
 from sphere_sim.study.conditions import StudyConditions
@@ -42,7 +43,7 @@ def draw(
 
     figure = Figure(figsize=_PAGE, layout=ConstrainedLayoutEngine(w_pad=0.25, h_pad=0.15))
     axes = figure.subplots(3, 2, height_ratios=(3.0, 3.0, 2.0))
-    figure.suptitle(f"Study\n{about}", fontsize=9)
+    figure.suptitle(f"Study\n{about}", fontsize=9, parse_math=False)
     slowest = max(max(column(found, "settle_time_s"), default=1.0) for found in results.values())
     bins = np.linspace(0.0, max(slowest, 1.0), 31)
     for axis in axes[:2].flat:
@@ -52,7 +53,8 @@ def draw(
         _share(axes[0, 0], column(found, "settle_time_s"), runs, name)
         axes[0, 1].hist(column(found, "settle_time_s"), bins=bins, alpha=0.5, label=name)
         _share(axes[1, 0], column(found, "ratio"), runs, name)
-        _share(axes[1, 1], column(found, "final_error"), runs, name)
+        # A logarithmic axis has no room beside the largest numbers.
+        _share(axes[1, 1], np.minimum(column(found, "final_error"), LARGEST), runs, name)
     _label_axes(axes[0, 0], "settling time [s]", "share of all runs settled")
     _label_axes(axes[0, 1], "settling time [s]", "runs")
     _label_axes(axes[1, 0], "settling time / that of the best known motion", "share of all runs")
@@ -106,7 +108,9 @@ def _label_axes(axis: Any, horizontal: str, vertical: str) -> None:
 
 
 def _write_text(axis: Any, text: str, height: float) -> None:
-    axis.text(0.01, height, text, transform=axis.transAxes, fontsize=7.5, va="top")
+    # As it is, and never as a formula: a strategy's error may have any text.
+    axis.text(0.01, height, text, transform=axis.transAxes, fontsize=7.5, va="top",
+              parse_math=False)
 
 
 def _scientific(number: float | None) -> str:

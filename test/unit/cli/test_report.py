@@ -227,6 +227,15 @@ def test_each_goal_has_a_row_and_is_judged_by_what_was_asked_for(make_report) ->
         assert f"<td>{target}</td>" in report.page
 
 
+@pytest.mark.filterwarnings("error")
+def test_goal_in_force_at_the_last_pose_alone_is_drawn_without_a_warning(tmp_path, capsys) -> None:
+    last = 5 * 10**9 + 99 * 10_000_000
+    goal = changed(goal_at(0.0, 0.0), stamp=last, log=last)
+    bag, out = write_own(tmp_path / "run", in_order(*approach(0), goal)), tmp_path / "out"
+    assert main([str(bag), "--out", str(out)]) == 0
+    assert "Warning" not in capsys.readouterr().err and (out / "error.png").exists()
+
+
 def test_page_has_the_animation_and_says_what_moved_the_sphere(tmp_path, make_report) -> None:
     parameters = {"controller": {"robot.shell_radius": 0.3, "robot.max_rotor_speed": 80.0},
                   "simulator": {"plant": "rigid_body"}}

@@ -36,7 +36,9 @@ STRATEGIES = EntryTable(
 )
 """All strategies by name, which are the choices of the parameter ``strategy``."""
 
-_SHORTEST = {"sample_period": 1e-2, "integration_step": 1e-3}
+SHORTEST_PERIOD = 1e-2
+"""Shortest sample period [s], also where it follows from the robot."""
+_SHORTEST = {"sample_period": SHORTEST_PERIOD, "integration_step": 1e-3}
 """Least values of times that are given [s]."""
 _INPUT_WEIGHT = 0.5
 """The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
@@ -157,7 +159,7 @@ class ControllerSettings:
     def period(self) -> float:
         """Spacing of the knots [s]: as given, or the strategy's own, to two digits."""
         own = STRATEGIES[self.strategy].sample_period * self.units.time
-        return self.sample_period or float(f"{own:.2g}")
+        return self.sample_period or max(float(f"{own:.2g}"), SHORTEST_PERIOD)
 
     @cached_property
     def tolerances(self) -> tuple[float, float]:

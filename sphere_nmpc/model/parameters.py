@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.quantity import quantity, validate
 
+_INERTIAS = "axial_inertia", "transverse_inertia", "inertia"
+_INEXACT = 1.5
+"""Factor on the ratio of inertias of a thin disc, which the rotors of Table 1 are: both may be off
+by 20 %."""
+
 
 @dataclass(frozen=True)
 class LumpedConstants:
@@ -104,6 +109,27 @@ class RobotParameters:
                 "rotor_offset", self.rotor_offset,
                 f"less than shell_radius = {self.shell_radius:g} m, as the rotors are inside",
             )
+        for part in ("shell", "rotor", "counterweight"):
+            self._check_inertias(part)
+
+    def _check_inertias(self, part: str) -> None:
+        """Refuse inertias that no part within the shell can have."""
+        most = getattr(self, f"{part}_mass") * self.shell_radius**2
+        names = [f"{part}_{kind}" for kind in _INERTIAS if hasattr(self, f"{part}_{kind}")]
+        for name in names:
+            if getattr(self, name) > most:
+                raise InvalidParameterError(
+                    name, getattr(self, name),
+                    f"at most {most:.3g} kg m^2, {part}_mass times the square of shell_radius",
+                )
+        if len(names) > 1:
+            axial, across = (getattr(self, name) for name in names[:2])
+            if axial > 2.0 * _INEXACT * across:
+                raise InvalidParameterError(
+                    names[0], axial,
+                    f"at most twice {names[1]} = {across:.3g} kg m^2, as of a thin disc, and half "
+                    "as much again for errors of both",
+                )
 
     @property
     def total_mass(self) -> float:

@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError, reason_of
 from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
 
 S = TypeVar("S")
@@ -30,6 +31,7 @@ the error that refuses it. The first argument returns the settings, for the thre
 the second has the fields that were set. The third says whether to return only when it is made;
 otherwise the future is done by the executor of the node."""
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_OF_ROBOT = {f"robot.{name}" for name in quantities(RobotParameters)}
 
 
 class DeclaredSettings(Generic[S]):
@@ -134,12 +136,16 @@ class Parameters:
         return declared
 
     def warn_of_unknown(self) -> None:
-        """Warn of given parameters that the node does not have, and undeclare them."""
+        """Warn of given parameters that the node does not have, and undeclare them.
+
+        Those of the robot may be given to all nodes at once, also to those without need of them.
+        """
         node = self._node
         names = set(node.list_parameters([], depth=0).names) - set(self._owners)
-        unknown = sorted(name for name in names if name.split(".")[0] not in _OF_RCLPY)
-        for name in unknown:
+        others = sorted(name for name in names if name.split(".")[0] not in _OF_RCLPY)
+        for name in others:
             node.undeclare_parameter(name)
+        unknown = [name for name in others if name not in _OF_ROBOT]
         if unknown:
             node.get_logger().warning(
                 f"unknown parameters, ignored: {shown(', '.join(unknown))}; "

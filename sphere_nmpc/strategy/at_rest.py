@@ -46,7 +46,7 @@ from sphere_nmpc.model.state import (
     state_error,
     without_momentum,
 )
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import SHORTEST_PERIOD, ControllerSettings
 from sphere_nmpc.strategy.contract import SMALL_MOMENTUM, Situation
 from sphere_nmpc.strategy.paper import PaperStrategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -289,9 +289,9 @@ def _for_corrections(settings: ControllerSettings) -> ControllerSettings:
 
 def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
     """Return settings that keep the sphere near a goal that moves, at each of the knots."""
-    time = settings.units.time
+    period = max(_TRACKING_PERIOD * settings.units.time, SHORTEST_PERIOD)
     return replace(
-        settings, horizon=_TRACKED, sample_period=_TRACKING_PERIOD * time, terminal_weight=1.0,
+        settings, horizon=_TRACKED, sample_period=period, terminal_weight=1.0,
         input_weight=_TRACKING_WEIGHT / settings.units.max_speed**2,
     )
 

@@ -17,7 +17,7 @@ LIMITS = ("max_rotor_speed", "max_rotor_acceleration", "max_rotor_torque")
 EARLIEST_PUSH, LATEST_PUSH = 0.5, 3.0
 """Limits of the times of pushes [s]: most are while the sphere is under way, some at its goal."""
 _ATTEMPTS = 1000
-"""Largest number of attempts; at 20 % about one in twenty gives an impossible robot."""
+"""Largest number of attempts; at 20 % about one in eleven gives an impossible robot."""
 
 
 def perturbed(
@@ -26,8 +26,9 @@ def perturbed(
     """Return a robot with each physical parameter times 1 + fraction * U(-1, 1).
 
     `fraction` is from 0 (the same robot) to below 1. Parameters that no robot can have, such as
-    rotors outside the shell, are all drawn again. `InvalidParameterError` is raised if the
-    fraction is not in its range, or no possible robot is found.
+    too large an inertia for the shell's mass and radius, are all drawn again.
+    `InvalidParameterError` is raised if the fraction is not in its range, or no possible robot is
+    found.
     """
     if not 0.0 <= fraction < 1.0:
         raise InvalidParameterError("perturbation", fraction, "a fraction from 0 to below 1")

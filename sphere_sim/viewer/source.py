@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source of frames, each the state of one robot at one instant, and the requests of users."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -9,12 +10,12 @@ from typing import Protocol
 import numpy as np
 
 from sphere_nmpc.control.goal_report import GoalReport
-from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
+from sphere_nmpc.quantity import quantities
 from sphere_sim.evaluation.metrics import errors_to
 
 _DEFAULT = RobotParameters()
@@ -139,10 +140,9 @@ def radius_at(height: float) -> float:
 
     It is `DEFAULT_RADIUS` where no robot has it, as in poses in the plane, whose height is 0.
     """
-    try:
-        return RobotParameters(shell_radius=height, rotor_offset=0.0).shell_radius
-    except InvalidParameterError:
-        return DEFAULT_RADIUS
+    about = quantities(RobotParameters)["shell_radius"]
+    is_one = (about.minimum or 0.0) <= height <= (about.maximum or math.inf)
+    return height if is_one else DEFAULT_RADIUS
 
 
 @dataclass(frozen=True, eq=False)

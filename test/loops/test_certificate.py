@@ -155,7 +155,10 @@ def test_a_start_without_clearance_is_not_certified_into_a_contact(beyond: float
     assert both(now, rolled(-0.02), needed) > RADIUS - 1e-9
 
 
-SMALL = RobotParameters(shell_radius=0.1, rotor_offset=0.05, shell_inertia=0.06 / 9.0)
+SMALL = RobotParameters(
+    shell_radius=0.1, rotor_offset=0.05, shell_inertia=0.06 / 9.0, rotor_axial_inertia=0.006,
+    counterweight_axial_inertia=0.006,
+)
 
 
 @pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["It2 > It1", "It2 < It1"])

@@ -16,7 +16,7 @@ from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import POSE, Vector, flipped_sign, make_state
+from sphere_nmpc.model.state import POSE, Vector, flipped_sign, make_state, upright_state
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -180,6 +180,17 @@ def test_unknown_drives_cost_little_time(torque: float | None) -> None:
         attained = torque / ROBOT.rotor_axial_inertia
         # The shell turns against its rotors, which attain a few per cent more relative to it.
         assert attained < estimated.acceleration < 1.1 * attained
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(1e4, 400.0), (1e4, 1e6), (600.0, 400.0)])
+def test_goal_is_reached_with_drives_of_any_speed(speed: float, acceleration: float) -> None:
+    """Also where a ramp to it would take longer than the motion, and a period would be 2 ms."""
+    robot = replace(ROBOT, max_rotor_speed=speed, max_rotor_acceleration=acceleration)
+    settings = ControllerSettings().of(robot)
+    goal = upright_state(1.0, -1.0, 1.57)
+    loop = SampledLoop(upright_state(0.0, 0.0, 0.0), settings, robot, goal=goal, nominal=robot)
+    loop.run(3.0 if acceleration < 1e5 else 0.3)
+    assert loop.error() < 1e-2
 
 
 class Wire:

@@ -278,6 +278,12 @@ def test_unknown_names_are_logged_in_one_warning_and_a_wrong_value_is_named(
     assert not node.has_parameter("sed")
 
 
+def test_robot_may_be_given_to_a_node_without_need_of_it(graph, capfd) -> None:
+    node = graph.start(RecorderNode, **{"robot.shell_mass": 2.0, "robot.mass": 2.0})
+    (line,) = (line for line in capfd.readouterr().err.splitlines() if "unknown" in line)
+    assert "'robot.mass'" in line and not node.has_parameter("robot.shell_mass")
+
+
 @pytest.mark.parametrize(
     ("settings", "values", "words"),
     [

@@ -262,7 +262,10 @@ def test_file_runs_without_the_python_packages_of_the_nodes() -> None:
 
 PALM_FILE = """/**:
   ros__parameters:
-    robot: {shell_mass: 0.05, shell_inertia: 4.4e-5, rotor_mass: 0.02, counterweight_mass: 0.02}
+    robot:
+      {shell_mass: 0.05, shell_inertia: 4.4e-5, rotor_mass: 0.02, rotor_axial_inertia: 3.4e-6,
+       rotor_transverse_inertia: 1.7e-6, counterweight_mass: 0.02,
+       counterweight_axial_inertia: 3.4e-6, counterweight_transverse_inertia: 1.7e-6}
 /second/simulator:
   ros__parameters: {robot.shell_radius: 0.0365, robot.rotor_offset: 0.015}
 """

@@ -44,7 +44,7 @@ pytestmark = pytest.mark.slow
 START = make_state((1.0, 2.0), (1.0, 0.0, 0.0, 0.0))
 GOAL = make_state((0.5, 0.0), (0.5, 0.5, 0.5, 0.5))
 ROBOT = RobotParameters(
-    rotor_axial_inertia=0.9, max_rotor_speed=60.0, max_rotor_acceleration=50.0
+    rotor_axial_inertia=0.01, max_rotor_speed=60.0, max_rotor_acceleration=50.0
 )
 
 
@@ -68,7 +68,7 @@ def notices(graph, source) -> list[str]:
 
 def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> None:
     simulator = graph.start(SimulatorNode, initial_state=START.tolist())
-    given = {"use_sim_time": True, "robot.rotor_axial_inertia": 0.9,
+    given = {"use_sim_time": True, "robot.rotor_axial_inertia": 0.01,
              "robot.max_rotor_speed": 60.0, "robot.max_rotor_acceleration": 50.0}
     controller = graph.start(ControllerNode, **given)
     graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(GOAL, 0, 0.3))

@@ -199,7 +199,7 @@ def rolling(graph, **robot: float) -> ControllerNode:
 
 
 def robot_given_to_one_node(graph) -> None:
-    rolling(graph, shell_radius=0.2)
+    rolling(graph, shell_radius=0.4)
 
 
 def velocities_that_are_always_0(graph) -> None:

@@ -156,14 +156,14 @@ def test_plant_of_the_example_moves_as_the_ideal_one_where_its_lag_is_short() ->
     assert lagging.contact.touches == 1 and 0.0 <= clearance < 5e-3
 
 
-def test_robot_of_ones_own_is_the_same_in_both_nodes_and_has_to_go_around_the_table() -> None:
+def test_robot_of_ones_own_is_given_once_and_has_to_go_around_the_table() -> None:
     nodes = yaml.safe_load((EXAMPLES / "own_robot.yaml").read_text(encoding="utf-8"))
-    simulator, controller = (nodes[f"/**/{n}"]["ros__parameters"] for n in (
-        "simulator", "controller"
+    robot, simulator, controller = (nodes[name]["ros__parameters"] for name in (
+        "/**", "/**/simulator", "/**/controller"
     ))
-    assert simulator["robot"] == controller["robot"]
+    assert list(robot) == ["robot"] and not {"robot"} & {*simulator, *controller}
     assert simulator["map_file"] == controller["map_file"] == "examples/room.yaml"
-    radius, start = simulator["robot"]["shell_radius"], simulator["initial_state"][:2]
+    radius, start = robot["robot"]["shell_radius"], simulator["initial_state"][:2]
     settings = FloorSettings(
         map_file=str(EXAMPLES / "room.yaml"), clearance=controller["clearance"]
     )

@@ -22,6 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
 from sphere_nmpc.ros.guarded_node import GuardedNode
@@ -54,8 +55,8 @@ _MOST_CALLBACKS = 40
 """Most callbacks between two frames."""
 
 
-_DRIVE = ("rotor_axial_inertia", "max_rotor_speed", "max_rotor_acceleration")
-"""Parameters of the controller's robot that plots and pushes need."""
+_ROBOT = tuple(quantities(RobotParameters))
+"""Parameters of the controller's robot, of which plots and pushes need the drives."""
 
 
 class TopicSource:
@@ -79,7 +80,7 @@ class TopicSource:
         )
         self._strategy = RemoteParameter(
             node, "controller", "strategy", ControllerSettings, notify,
-            [f"robot.{name}" for name in _DRIVE],
+            [f"robot.{name}" for name in _ROBOT],
         )
 
     def frames(self) -> Sequence[Frame]:
@@ -155,7 +156,7 @@ class TopicSource:
     def _robot(self) -> RobotParameters | None:
         """Return the controller's robot; None while it is unknown or not valid."""
         try:
-            return RobotParameters(**dict(zip(_DRIVE, self._strategy.others, strict=True)))
+            return RobotParameters(**dict(zip(_ROBOT, self._strategy.others, strict=True)))
         except ValueError:  # not valid, or one is missing
             return None
 

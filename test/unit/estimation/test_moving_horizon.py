@@ -83,7 +83,9 @@ def other_robot(share: float, seed: int) -> RobotParameters:
         # ratios apart ten times worse than that.
         *((other_robot(share, seed), 8, 1e-3) for share in (0.03, 0.2) for seed in (0, 1)),
         # Five standard deviations from the prior; the largest that 20 % in all parameters give.
-        (dataclasses.replace(NOMINAL, rotor_axial_inertia=1.55 * 0.008), 4, 3e-3),
+        (dataclasses.replace(
+            NOMINAL, rotor_axial_inertia=1.55 * 0.008, rotor_transverse_inertia=0.0045
+        ), 4, 3e-3),
     ],
     ids=["3 %", "3 %, other", "20 %", "20 %, other", "far from the prior"],
 )

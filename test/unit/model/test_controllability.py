@@ -61,7 +61,7 @@ def test_brackets_agree_with_those_that_casadi_differentiates() -> None:
     for _ in range(30):
         state = state_at(*rng.uniform(-1.5, 1.5, 3))
         mass, radius = rng.uniform((0.5, 0.2), (2.0, 0.6))
-        robot = RobotParameters(shell_mass=mass, shell_radius=radius)
+        robot = RobotParameters(shell_mass=mass, shell_radius=radius, shell_inertia=0.02)
         turn = rotation.matrix(state[QUATERNION])
         found = third_order_brackets(turn[2], robot.lumped)
         displacement = turn @ found[3:]

@@ -65,6 +65,24 @@ def test_rotors_have_to_be_inside_the_shell() -> None:
         RobotParameters(rotor_offset=0.3)
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"shell_mass": 0.15, "shell_radius": 0.2, "rotor_offset": 0.1},
+         "shell_inertia: given 0.06, expected at most 0.006 kg m^2, shell_mass times"),
+        ({"rotor_axial_inertia": 0.064, "rotor_transverse_inertia": 0.04},
+         "rotor_axial_inertia: given 0.064, expected at most 0.063 kg m^2, rotor_mass times"),
+        ({"counterweight_mass": 0.0}, "counterweight_axial_inertia: given 0.008, expected at"),
+        ({"rotor_transverse_inertia": 0.002},
+         "rotor_axial_inertia: given 0.008, expected at most twice rotor_transverse_inertia"),
+    ],
+)
+def test_inertias_that_no_part_within_the_shell_can_have_are_refused(given, message) -> None:
+    with pytest.raises(InvalidParameterError) as caught:
+        RobotParameters(**given)
+    assert str(caught.value).startswith(message)
+
+
 def scaled_robot(length: float, speed: float) -> RobotParameters:
     """Return a robot with the ratios of Table 1's at other lengths and rotor speeds."""
     powers = dict.fromkeys(

@@ -320,7 +320,8 @@ def test_unbalanced_robot_falls_over_and_one_that_cannot_be_balanced_is_refused(
     ]
     assert angle_error(ends[0], UPRIGHT) > 0.1 and angle_error(ends[1], UPRIGHT) < 1e-6
     with pytest.raises(InvalidParameterError, match="shell_inertia"):
-        RigidBodyPlant(RobotParameters(shell_mass=0.01, rotor_mass=2.0), UPRIGHT)
+        light = RobotParameters(shell_mass=0.01, rotor_mass=2.0, shell_inertia=6e-4)
+        RigidBodyPlant(light, UPRIGHT)
 
 
 def test_diverged_state_is_an_error(tmp_path, monkeypatch) -> None:

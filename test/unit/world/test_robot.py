@@ -82,8 +82,8 @@ def of_controller(torque_limit: float, **robot: float) -> str:
     return beyond(RobotParameters(), planned, "/controller", torque_limit)
 
 
-LARGE = {"shell_radius": 1.0, "rotor_axial_inertia": 0.9, "max_rotor_speed": 60.0,
-         "max_rotor_acceleration": 50.0}
+LARGE = {"shell_radius": 1.0, "rotor_mass": 20.0, "rotor_axial_inertia": 0.9,
+         "rotor_transverse_inertia": 0.45, "max_rotor_speed": 60.0, "max_rotor_acceleration": 50.0}
 
 
 @pytest.mark.parametrize(

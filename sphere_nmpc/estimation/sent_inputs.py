@@ -32,7 +32,7 @@ class SentInputs:
         self._corrected: deque[FirstOrderHold] = deque(maxlen=_KEPT)
         self._holds = self._sent
         self._doubt = 0.0
-        """-2 log of the odds of the corrections, from surely right (negative) to surely wrong."""
+        """Twice the log of the odds that the corrections are wrong."""
         self.contradicted = False
         """Whether the motion contradicts the measured rotor speeds."""
         self.known_until = float("-inf")

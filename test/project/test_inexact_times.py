@@ -51,7 +51,10 @@ def test_loop_with_inexact_times_arrives_within_twice_the_exact_time(
 @pytest.mark.parametrize("factor", [0.45, 1.75])
 def test_robot_whose_rotors_have_another_inertia_by_far_arrives(factor: float) -> None:
     nominal, scenario = inexact_times.ROBOT, SCENARIOS[2]
-    robot = replace(nominal, rotor_axial_inertia=factor * nominal.rotor_axial_inertia)
+    robot = replace(
+        nominal, rotor_axial_inertia=factor * nominal.rotor_axial_inertia,
+        rotor_transverse_inertia=factor * nominal.rotor_transverse_inertia,
+    )
     assert abs(math.log(robot.lumped.input_gain / nominal.lumped.input_gain)) > 0.5
     simulator = Simulator(
         SimulatorSettings(initial_state=tuple(scenario.start)), robot,

@@ -23,6 +23,7 @@ from sphere_nmpc.ros.settings import (
     OdometryNodeSettings,
     SchedulingSettings,
 )
+from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.recording.recorder_settings import RecorderSettings
 from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.study.conditions import OF_NODES
@@ -30,6 +31,7 @@ from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.robot_description import make_urdf
+from sphere_sim.world.settings import PLANTS
 
 NODES: dict[str, Any] = {
     "simulator": SimulatorNodeSettings(), "controller": ControllerNodeSettings(),
@@ -37,6 +39,8 @@ NODES: dict[str, Any] = {
     "recorder": RecorderSettings(),
 }
 """Settings of each node."""
+_OF_OTHERS = ({*STRATEGIES} - STRATEGIES.own) | ({*PLANTS} - PLANTS.own)
+"""Choices that installed packages bring, as that of the examples."""
 OF_ROBOT = ("simulator", "controller", "odometry")
 """Nodes that also have those of the robot, under ``robot.``."""
 
@@ -194,7 +198,7 @@ def _literal(value: Any) -> str:
 
 def _range(about: Quantity) -> str:
     if about.choices:
-        return " or ".join(about.choices)
+        return " or ".join(name for name in about.choices if name not in _OF_OTHERS)
     if about.minimum is None or about.maximum is None:
         return ""
     return f"{about.minimum:.12g} to {about.maximum:.12g}"

@@ -146,7 +146,7 @@ class Estimator:
         return Condition(
             Kind.OTHER_ROBOT, f"given {name} = {given[worst]:.3g}{unit}, and the motion shows "
             f"{learnt[worst]:.3g}{unit}, expected at most {100.0 * _OTHER:.0f} % from it: was the "
-            "params_file with the robot given to all nodes?",
+            "params_file with the robot given to all nodes, and do the rotors turn as commanded?",
         )
 
     @property

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from pathlib import Path
 
 import psutil
 import pytest
@@ -154,14 +153,6 @@ PARENTS = {
         next(runs)
         tell(*(child.pid for child in psutil.Process().children()))
     """,
-    "of tests": """
-        import importlib.util, os, subprocess, sys
-        spec = importlib.util.spec_from_file_location("conftest", sys.argv[2])
-        spec.loader.exec_module(importlib.util.module_from_spec(spec))
-        waiting = [sys.executable, "-c", "import time; time.sleep(1000)"]
-        tell(subprocess.Popen(waiting, start_new_session=True).pid,
-             subprocess.Popen(waiting, preexec_fn=lambda: os.nice(1)).pid)
-    """,
 }
 TELL = """
 import time
@@ -169,14 +160,13 @@ def tell(*pids):
     print(*pids, flush=True)
     time.sleep(3600)
 """
-CONFTEST = str(Path(__file__).parents[1] / "conftest.py")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a signal of Linux")
 @pytest.mark.parametrize("parent", PARENTS)
 def test_no_process_outlives_a_parent_that_is_killed(tmp_path, parent) -> None:
     program = f"exec({TELL + textwrap.dedent(PARENTS[parent])!r})"
-    command = python_command(program, str(tmp_path), CONFTEST)
+    command = python_command(program, str(tmp_path))
     process = Child(command, log=tmp_path / "parent.log").start()
     until(lambda: process.output.endswith("\n") or not process.running)
     os.kill(process.pid, signal.SIGKILL)

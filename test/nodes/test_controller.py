@@ -232,11 +232,11 @@ def test_goal_is_answered_with_a_plan_each_sample(robot, monkeypatch) -> None:
         one for one in robot.reported if values_of(one)["mode"] == Kind.TRACKING.value
     ]
     status, newest = values_of(on_the_way[-1]), on_the_way[-1]
-    # Poses that stand, whatever is sent, may look late.
+    # Poses that stand, whatever is sent, may look late, or as of a robot that hardly rolls.
     told = newest.message.partition(":")[0]
     is_ok = newest.level == DiagnosticStatus.OK
-    expected = Kind.TRACKING.value if is_ok else Kind.INEXACT_STAMPS.log
-    assert told == expected, newest.message
+    faults = Kind.INEXACT_STAMPS.log, Kind.OTHER_ROBOT.log
+    assert told in ([Kind.TRACKING.value] if is_ok else faults), newest.message
     assert (status["strategy"], status["plan"], status["missed_ticks"]) == (
         "paper", "solved", missed
     )

@@ -33,8 +33,8 @@ ALIASES = "\n".join(
 """A value of 10 thousand million texts."""
 HOSTILE_TEXTS = {
     "aliases": (f"{ALIASES}\nrosbag2_bagfile_information: {{relative_file_paths: [*a9]}}\n"
-                "custom_data: {any: *a9}", "given 'an alias', expected each value written out"),
-    "brackets": ("[" * 100_000, "given 'lists in lists', expected at most 10 levels"),
+                "custom_data: {any: *a9}", "given an alias, expected each value written out"),
+    "brackets": ("[" * 100_000, "given lists in lists, expected at most 10 levels"),
     "long": ("# " + "x" * 5 * MB, "expected at most 4194304 bytes"),
 }
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT "
@@ -192,7 +192,7 @@ def test_pipes_and_devices_in_place_of_files_are_named(tmp_path) -> None:
     bag = write_own(tmp_path / "bag", run_messages())
     pipe(bag / "metadata.yaml")
     run = read_run(bag)
-    assert len(run.times) == 301 and "given 'a pipe', expected a regular file" in run.notes[0]
+    assert len(run.times) == 301 and "given a pipe, expected a regular file" in run.notes[0]
     for name in ("a.mcap", "a.db3", "a.mcap.zstd"):
         pipe(tmp_path / name)
         with pytest.raises(BagError, match=f"{name} is a pipe, expected a regular file"):

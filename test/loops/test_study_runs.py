@@ -120,7 +120,8 @@ def test_controller_has_the_nominal_parameters_of_a_perturbed_robot() -> None:
 
 
 def test_settings_that_depend_on_each_other_are_accepted_in_any_order() -> None:
-    small = [("robot.shell_radius", "0.0365"), ("robot.rotor_offset", "0.015")]
+    small = [("robot.shell_radius", "0.149"), ("robot.rotor_offset", "0.07"),
+             ("robot.shell_inertia", "0.014")]
     large = [("robot.shell_radius", "1.0"), ("robot.rotor_offset", "0.5")]
     for settings in (small, large):
         there, back = (SHORT.with_settings(order) for order in (settings, settings[::-1]))

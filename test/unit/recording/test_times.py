@@ -203,3 +203,10 @@ def test_stamp_0_is_a_time_where_simulated_time_begins_and_else_needs_a_log_time
     entries = [changed(entry, log=START) for entry in restamped(run_messages(), "/pose", none)]
     with pytest.raises(BagError, match="/pose: no pose has a stamp or a log time of its own"):
         read(in_order(*entries))
+
+
+def test_poses_of_one_instant_on_both_clocks_are_one_pose(read) -> None:
+    """As when simulated time is paused and somebody else sends other poses."""
+    entries = restamped(run_messages(), "/pose", lambda number, log: START)
+    run = read(in_order(*(changed(entry, log=START) for entry in entries)))
+    assert len(run.times) == 1 and not any(note.startswith("/pose") for note in run.notes)

@@ -39,7 +39,7 @@ class Table(NamedTuple):
 
 TABLES = {
     "ideal": Table({
-        "nominal": "--draw 1000 --seed 1 --strategy paper",
+        "nominal, `paper`": "--draw 1000 --seed 1 --strategy paper",
         "nominal, the first 200": "--draw 200 --seed 1",
     }),
     "best known": Table({

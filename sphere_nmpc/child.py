@@ -58,16 +58,14 @@ def python_command(program: str, *arguments: str, python: str | None = None) -> 
 
 
 def begin_child(parent: int) -> None:
-    """Let this process end on `END_SIGNALS`, and when its parent, with this id, ends."""
+    """Let this process end on `END_SIGNALS`, and when its parent, with this id, ends.
+
+    The latter is for whatever reason, on Linux only.
+    """
     for number in END_SIGNALS:
         # A parent in the background of a script ignores some, and its children inherit that.
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
-    end_with_parent(parent)
-
-
-def end_with_parent(parent: int) -> None:
-    """Let this process end when its parent, with this id, ends for whatever reason; Linux only."""
     if _PRCTL is not None:
         _PRCTL(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
         if os.getppid() != parent:

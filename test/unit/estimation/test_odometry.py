@@ -11,8 +11,9 @@ from scipy.stats import chi2
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
-from sphere_nmpc.estimation.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.inertial_state import (
+from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_state import (
     MOMENTUM,
     OFFSET,
     POSE_ERROR,
@@ -22,7 +23,6 @@ from sphere_nmpc.estimation.inertial_state import (
     Samples,
     applied,
 )
-from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error, error_between

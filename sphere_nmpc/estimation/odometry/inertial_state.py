@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """State of the odometry: the parts of its error, its distribution, and readings of an interval.
 
-The error is explained with `sphere_nmpc.estimation.inertial_filter`.
+The error is explained with `sphere_nmpc.estimation.odometry.inertial_filter`.
 """
 
 import math

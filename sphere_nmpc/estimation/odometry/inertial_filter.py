@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_state import (
+from sphere_nmpc.estimation.odometry.inertial_state import (
     CONSTANTS,
     FIRST,
     FORCE_BIAS,

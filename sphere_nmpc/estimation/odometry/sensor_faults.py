@@ -8,8 +8,8 @@ import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_filter import SATURATED
-from sphere_nmpc.estimation.inertial_state import OFFSET, Belief, Findings, Samples
+from sphere_nmpc.estimation.odometry.inertial_filter import SATURATED
+from sphere_nmpc.estimation.odometry.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.state import Vector
 

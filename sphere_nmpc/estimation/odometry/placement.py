@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_state import (
+from sphere_nmpc.estimation.odometry.inertial_state import (
     CONSTANTS,
     FIRST,
     FORCE_BIAS,
@@ -21,8 +21,8 @@ from sphere_nmpc.estimation.inertial_state import (
     Belief,
     replaced,
 )
+from sphere_nmpc.estimation.odometry.pose_history import Fix
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
-from sphere_nmpc.estimation.pose_history import Fix
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector
 

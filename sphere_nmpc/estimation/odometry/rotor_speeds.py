@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 
 import numpy as np
 
-from sphere_nmpc.estimation.inertial_state import Samples
+from sphere_nmpc.estimation.odometry.inertial_state import Samples
 from sphere_nmpc.model.state import Vector
 
 

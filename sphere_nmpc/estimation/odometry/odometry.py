@@ -16,14 +16,20 @@ import numpy as np
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.inertial_filter import ROLL, InertialFilter
-from sphere_nmpc.estimation.inertial_state import GYRO_BIAS, PHI, POSE_ERROR, Belief, Samples
+from sphere_nmpc.estimation.odometry.inertial_filter import ROLL, InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_state import (
+    GYRO_BIAS,
+    PHI,
+    POSE_ERROR,
+    Belief,
+    Samples,
+)
+from sphere_nmpc.estimation.odometry.placement import LEAST_DEVIATION, initial_belief, placed
+from sphere_nmpc.estimation.odometry.pose_history import Fix, PoseHistory
+from sphere_nmpc.estimation.odometry.rest import MOST_NOISE, RestDetector
+from sphere_nmpc.estimation.odometry.rotor_speeds import RotorSpeeds
+from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
-from sphere_nmpc.estimation.placement import LEAST_DEVIATION, initial_belief, placed
-from sphere_nmpc.estimation.pose_history import Fix, PoseHistory
-from sphere_nmpc.estimation.rest import MOST_NOISE, RestDetector
-from sphere_nmpc.estimation.rotor_speeds import RotorSpeeds
-from sphere_nmpc.estimation.sensor_faults import SensorFaults
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters

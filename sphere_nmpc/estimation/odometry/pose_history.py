@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.estimation.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.inertial_state import POSE_ERROR, Belief, Samples, replaced
+from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_state import POSE_ERROR, Belief, Samples, replaced
 from sphere_nmpc.model.state import Vector
 
 

@@ -7,8 +7,8 @@ from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.estimation.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.inertial_state import GYRO_BIAS, Belief, Samples
+from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_state import GYRO_BIAS, Belief, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.state import Vector
 

@@ -89,7 +89,10 @@ class Kind(Enum):
     ENCODERS_LATE = "rotor speeds late", WARN
     PUSHED = "pushed", OK
     SLIPPED = "slipped", WARN
-    LIFTED = "lifted", WARN
+    LIFTED = "lifted", ERROR
+    POSITION_UNKNOWN = "position not known", ERROR
+    NO_GRAVITY = "no gravity", ERROR
+    LARGE_BIAS = "large gyro bias", WARN
     FIX_LEFT_OUT = "fix left out", WARN
     TILT_REPLACED = "tilt replaced", WARN
 

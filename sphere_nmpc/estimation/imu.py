@@ -18,8 +18,8 @@ class ImuSettings:
     """Mounting and errors of an IMU; the defaults are those of a MEMS device.
 
     A reading is the angular velocity [rad/s] and the specific force [m/s^2], which at rest is
-    opposite to gravity, both in the axes of the sensor. A bias and a scale differ by axis and are
-    drawn with these standard deviations; the gyro's bias then walks.
+    opposite to gravity, both in the axes of the sensor and filtered alike. Errors differ by axis
+    and are drawn with these standard deviations; the biases then walk.
     """
 
     position: tuple[float, ...] = quantity(
@@ -29,6 +29,19 @@ class ImuSettings:
     orientation: tuple[float, ...] = quantity(
         (1.0, 0.0, 0.0, 0.0), "-",
         "Quaternion w, x, y, z that takes vectors in the axes of the IMU to the body frame",
+        minimum=-1.0, maximum=1.0,
+    )
+    position_deviation: float = quantity(
+        1.5e-3, "m", "Standard deviation of each coordinate of the place", minimum=0.0, maximum=1.0
+    )
+    orientation_deviation: float = quantity(
+        0.01, "rad", "Standard deviation of the mounting about each axis", minimum=0.0,
+        maximum=0.5,
+    )
+    delay: float = quantity(
+        -1.0, "s",
+        "Time by which readings are later than their stamps, as by the filter of the device; -1: "
+        "unknown, half of the time between two readings",
         minimum=-1.0, maximum=1.0,
     )
     gyro_noise: float = quantity(
@@ -45,6 +58,15 @@ class ImuSettings:
     gyro_scale: float = quantity(
         3e-3, "-", "Standard deviation of the gyro's scale around 1", minimum=0.0, maximum=0.5
     )
+    g_sensitivity: float = quantity(
+        6e-5, "rad/s per m/s^2",
+        "Standard deviation of the gyro's sensitivity to force; 6e-5 is 0.03 deg/s/g",
+        minimum=0.0, maximum=0.1,
+    )
+    cross_axis: float = quantity(
+        4e-3, "-", "Standard deviation of what gyro and accelerometer show of another axis",
+        minimum=0.0, maximum=0.5,
+    )
     gyro_range: float = quantity(
         17.5, "rad/s", "Largest angular velocity about an axis; beyond it the gyro is saturated",
         minimum=0.1, maximum=1e3,
@@ -56,6 +78,9 @@ class ImuSettings:
     accelerometer_bias: float = quantity(
         0.15, "m/s^2", "Standard deviation of the accelerometer's bias; 0.15 is 15 mg",
         minimum=0.0, maximum=10.0,
+    )
+    accelerometer_bias_walk: float = quantity(
+        1e-3, "m/s^2/sqrt(s)", "Random walk of the accelerometer's bias", minimum=0.0, maximum=1.0
     )
     accelerometer_scale: float = quantity(
         3e-3, "-", "Standard deviation of the accelerometer's scale around 1", minimum=0.0,

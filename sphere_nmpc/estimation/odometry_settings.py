@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the odometry: where it begins, what is known of robot and fixes; its numbers."""
 
+import math
 from dataclasses import dataclass, replace
 
-from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
@@ -53,43 +53,80 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True)
-class OdometryNumbers(EstimatorSettings):
-    """Numbers of the odometry beside those of the estimator; `of` returns them for a robot."""
+class OdometryNumbers:
+    """Numbers of the odometry for the robot of Table 1; `of` returns them for another robot."""
 
+    # Readings
     interval: float = 0.05
     """Time over which readings are taken together [s]."""
-    momentum_walk: float = 2.0
-    """Random walk of the momentum [rad/s per sqrt(s)]: by friction, slope and imbalance, which are
-    not estimated; rolling friction of 2 mm takes 9 rad/s^2 from the robot of Table 1."""
-    least_noises: tuple[float, float] = (3e-5, 1e-3)
-    """Least noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)]."""
-    model_noise: float = 2e-4
-    """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
-    blind: float = 1.0
-    """Random walk of the orientation with neither gyro nor rotor speeds [rad/sqrt(s)]."""
-    offset: float = 0.02
-    """Standard deviation of the offset between the stamps of IMU and encoders [s]."""
-    still: float = 2e-4
-    """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
-    rest: float = 1.0
-    """Time over which the gyro is averaged to tell rest from slow turning [s]."""
-    doubt: float = 3e-4
-    """Standard deviation that is added to tilt and bias over gravity where a force is not
-    explained [rad]."""
-    forgotten: float = 0.7
-    """Share of a change of velocity that was not explained which counts in the next interval."""
-    lift: float = 0.1
-    """Vertical velocity above which the sphere has been lifted [m/s]."""
-    carried: float = 1.0
-    """Random walk of the position of a sphere that has been lifted [m/sqrt(s)]."""
     silence: float = 0.2
     """Age of the newest reading at which a sensor counts as silent [s]."""
     remembered: float = 2.0
     """Time for which a fault is told after it was last seen [s]."""
 
+    # Noises
+    least_noises: tuple[float, float] = (3e-5, 1e-3)
+    """Least noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)]."""
+    momentum_walk: float = 2.0
+    """Random walk of the momentum [rad/s per sqrt(s)]: by friction, slope and imbalance, which are
+    not estimated; rolling friction of 2 mm takes 9 rad/s^2 from the robot of Table 1."""
+    model_noise: float = 2e-4
+    """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
+    blind: float = 1.0
+    """Random walk of the orientation with neither gyro nor rotor speeds [rad/sqrt(s)]."""
+    push: float = 50.0
+    """Standard deviation of the momentum of a push [rad/s]."""
+    offset: float = 0.02
+    """Standard deviation of the offset between the stamps of IMU and encoders [s]."""
+    vibrates: float = 1.0
+    """Time over which the variance of velocities by vibration is averaged [s]."""
+    clipped: float = 9.0
+    """Most that an interval adds to that variance, over the expected one [-]."""
+
+    # Rest
+    rest: float = 1.0
+    """Time over which readings may not change for the sphere to be at rest [s]."""
+    contradicted: float = 1.5
+    """Time at rest after which the readings, if they contradict bias or tilt, are believed [s]."""
+    still: float = 2e-4
+    """Angular velocity by the rotors below which the sphere may be at rest [rad/s]."""
+    bias_jump: float = 0.01
+    """Standard deviation of a jump of the gyro's bias, which is seen at rest [rad/s]."""
+
+    # What is not explained
+    doubt: float = 3e-4
+    """Standard deviation that is added to tilt and bias over gravity where a force is not
+    explained [rad]."""
+    forgotten: float = 0.7
+    """Share of a change of velocity that was not explained which counts in the next interval."""
+    settled: float = 0.95
+    """Share of a vertical way that was not explained which counts in the next interval."""
+    lift: float = 0.03
+    """Vertical way above which the sphere has been lifted [m]."""
+    lifting: int = 5
+    """Intervals in a row that rolling does not explain when the sphere is lifted: 0.25 s, as a
+    bump takes less."""
+    carried: float = 1.0
+    """Random walk of the position of a sphere that has been lifted [m/sqrt(s)]."""
+    most_outliers: int = 4
+    """Fixes in a row that are left out as improbable; the next one is believed."""
+
+    def improbable(self, components: int) -> float:
+        """Return the normalised square that 1 valid measurement in 7000 exceeds (chi-squared)."""
+        return _IMPROBABLE[components - 1]
+
+    def is_lifted(self, height: float, slipping: int) -> bool:
+        """Return whether the sphere is lifted, by `height` and `slipping` of a `Belief`."""
+        return abs(height) > self.lift and slipping >= self.lifting
+
     def of(self, units: RobotUnits) -> "OdometryNumbers":
         """Return the numbers in the units of a robot."""
         return replace(
-            super().of(units), interval=self.interval * units.time,
-            still=self.still / units.time, lift=self.lift * units.length / units.time,
+            self, interval=self.interval * units.time, still=self.still / units.time,
+            momentum_walk=self.momentum_walk * units.speed / math.sqrt(units.time),
+            push=self.push * units.speed, lift=self.lift * units.length,
         )
+
+
+_IMPROBABLE = (14.51, 17.76, 20.41, 22.79, 25.0)
+"""Of 1 to 5 components."""

@@ -61,40 +61,55 @@ class ImuSensor(SampledSensor[ImuReading]):
         super().__init__(settings.rate, settings.latency)
         self.settings = settings
         self._seed = seed
-        self._position, self._turn = np.array(settings.position), settings.turn
         # Streams 0 to 6 belong to the simulator and to studies.
         self._random = np.random.default_rng([seed, 7])
-        self._gyro_bias = settings.gyro_bias * self._random.normal(size=3)
-        self._accelerometer_bias = settings.accelerometer_bias * self._random.normal(size=3)
-        self._scale = 1.0 + settings.gyro_scale * self._random.normal(size=3)
-        self._stretch = 1.0 + settings.accelerometer_scale * self._random.normal(size=3)
-        self._start_bias = self._gyro_bias
-        self._before: tuple[Vector, Vector] | None = None
-        """Velocity of its place [m/s; world frame] and orientation at the reading before."""
-        self._step = settings.gyro_bias_walk * math.sqrt(self.period / NANOSECONDS)
+        draw = self._random.normal
+        biases = np.repeat([settings.gyro_bias, settings.accelerometer_bias], 3)
+        self._bias = self._start_bias = biases * draw(size=6)
+        scales = settings.gyro_scale, settings.accelerometer_scale
+        by: Vector = np.zeros((6, 6))
+        for part, scale in zip((_RATE, _FORCE), scales, strict=True):
+            by[part, part] = np.eye(3) + settings.cross_axis * draw(size=(3, 3))
+            by[part, part][np.diag_indices(3)] = 1.0 + scale * draw(size=3)
+        by[_RATE, _FORCE] = settings.g_sensitivity * draw(size=(3, 3))
+        self._by = by
+        """Readings without bias and noise by rate and force as they are, shape (6, 6)."""
+        self._position = np.array(settings.position) + settings.position_deviation * draw(size=3)
+        turned = rotation.exponential(settings.orientation_deviation * draw(size=3))
+        self._turn = rotation.matrix(turned) @ settings.turn
+        self._before: tuple[Vector, Vector, Vector] | None = None
+        """Velocity of its place [m/s; world frame], orientation and body rate [rad/s] at the
+        reading before."""
+        walks = np.repeat([settings.gyro_bias_walk, settings.accelerometer_bias_walk], 3)
+        self._step = walks * math.sqrt(self.period / NANOSECONDS)
 
     def sample(self, now: int, plant: Plant) -> None:
         """Read the plant at this instant."""
-        drawn = self._random.normal(size=9)
-        self.deliver(now, self._reading(now, self._sensed(plant), self._gyro_bias, drawn, plant))
-        self._gyro_bias = self._gyro_bias + self._step * drawn[6:]
+        drawn = self._random.normal(size=(2, 6))
+        self.deliver(now, self._reading(now, self._sensed(plant), self._bias, drawn[0], plant))
+        self._bias = self._bias + self._step * drawn[1]
 
     def _sensed(self, plant: Plant) -> Vector:
-        """Return rate and mean specific force without errors, shape (6,).
+        """Return mean rate and mean specific force without errors, shape (6,).
 
-        The force follows from the change of velocity since the reading before, so that a push has
-        its impulse, and what is faster than the readings, as the vibrations of a contact, is
-        averaged as by the filter of a device.
+        They follow from the changes of orientation and velocity since the reading before, so that
+        a push has its impulse, and what is faster than the readings, as the vibrations of a
+        contact, is averaged as by the filter of a device.
         """
         rate, q = plant.body_rate, plant.state[QUATERNION]
-        turn = rotation.matrix(q)
-        velocity = plant.velocity + turn @ np.cross(rate, self._position)
-        before, q_before = self._before or (velocity, q)
-        self._before = velocity, q
+        velocity = plant.velocity + rotation.matrix(q) @ np.cross(rate, self._position)
+        before, q_before, rate_before = self._before or (velocity, q, rate)
+        self._before = velocity, q, rate
+        step = self.period / NANOSECONDS
+        mean = rate
+        if q is not q_before:
+            turned = rotation.logarithm(rotation.product(rotation.conjugate(q_before), q))
+            # A rotation is more than the integral of a rate whose direction changes.
+            mean = turned / step - step / 12.0 * np.cross(rate_before, rate)
         middle = q + rotation.nearer_sign(q_before, q)
         middle = rotation.matrix(middle / np.linalg.norm(middle))
-        felt = (velocity - before) * (NANOSECONDS / self.period) - plant.gravity
-        return np.concatenate((rate @ self._turn, felt @ middle @ self._turn))
+        felt = (velocity - before) / step - plant.gravity
+        return np.concatenate((mean @ self._turn, felt @ middle @ self._turn))
 
     def at_rest(self, duration: float, plant: Plant) -> list[ImuReading]:
         """Return the readings of the last `duration` [s] before time 0, in order.
@@ -105,24 +120,23 @@ class ImuSensor(SampledSensor[ImuReading]):
         """
         number = math.ceil(round(duration * NANOSECONDS) / self.period)
         # Backwards, so that the last readings are the same for any duration.
-        drawn = np.random.default_rng([self._seed, 7, 1]).normal(size=(number, 9))
-        biases = self._start_bias - self._step * np.cumsum(drawn[:, 6:], axis=0)
+        drawn = np.random.default_rng([self._seed, 7, 1]).normal(size=(number, 2, 6))
+        biases = self._start_bias - self._step * np.cumsum(drawn[:, 1], axis=0)
         true = self._sensed(plant)
         return [
-            self._reading(-self.period * (i + 1), true, biases[i], drawn[i], plant)
+            self._reading(-self.period * (i + 1), true, biases[i], drawn[i, 0], plant)
             for i in reversed(range(number))
         ]
 
     def _reading(
-        self, stamp: int, true: Vector, gyro_bias: Vector, drawn: Vector, plant: Plant
+        self, stamp: int, true: Vector, bias: Vector, drawn: Vector, plant: Plant
     ) -> ImuReading:
         """Return what is measured of rate and force `true`, shape (6,), with noise as `drawn`."""
-        settings, (gyro, accelerometer) = self.settings, self.settings.deviations
-        rate = self._scale * true[_RATE] + gyro_bias + gyro * drawn[_RATE]
-        force = self._stretch * true[_FORCE] + self._accelerometer_bias
-        force += accelerometer * drawn[_FORCE]
+        settings = self.settings
+        found = self._by @ true + bias + np.repeat(settings.deviations, 3) * drawn
+        most = np.repeat([settings.gyro_range, settings.accelerometer_range], 3)
+        found = np.clip(found, -most, most)
         return ImuReading(
-            stamp, np.clip(rate, -settings.gyro_range, settings.gyro_range),
-            np.clip(force, -settings.accelerometer_range, settings.accelerometer_range),
-            plant.rotor_angles, plant.rotor_speeds, plant.rotor_torques,
+            stamp, found[_RATE], found[_FORCE], plant.rotor_angles, plant.rotor_speeds,
+            plant.rotor_torques,
         )

@@ -4,20 +4,31 @@
 
 The gyro is the input: it turns the shell, and without slip the sphere rolls by that. The error is
 
-    [p, phi, b_g, s_g, b_a, s_a, h, c, rho, tau]
+    [p, phi, b_g, b_a, E_g, E_a, G, r, h, c, rho, tau]
 
 position [m] and rotation [rad] in the world frame, true minus estimated, R_true = exp(phi) R, with
 which the model, which no motion of the plane changes, is linear in the unobservable position and
-heading; biases and scales of gyro and accelerometer, in the axes of the sensor; momentum over I1
-[rad/s; world frame], which turns with phi as well, h_true = exp(phi) (h + dh); relative errors of
-c1, r1, r3 and of the radius; and the time by which the stamps of the rotors' speeds are late [s].
+heading; the errors of a device, in the axes of the sensor, whose readings of the angular velocity
+w and the specific force f are
 
-Measured are, over an interval of some hundredths of a second, the specific force, integrated,
+    (I + E_g) w + G f + b_g    and    (I + E_a) f + b_a,
+
+biases, matrices of scales and of what crosses to other axes, and the sensitivity of a gyro to
+force; a mounting that is turned is in both matrices, whose errors are correlated by it; the place
+r of the IMU; momentum over I1 [rad/s; world frame], which turns with phi as well, h_true =
+exp(phi) (h + dh); relative errors of c1, r1, r3 and of the radius; and the time by which the
+stamps of the rotors' speeds are late [s].
+
+Both readings are values at the same instants, as a device filters both alike: its delay is one of
+the stamps. Measured are, over an interval of some hundredths of a second, the specific force,
+integrated,
 
     int R f dt = v(t1) - v(t0) + g e3 (t1 - t0),    v = Rs (omega x e3) + omega x r,
 
-at the place r of the IMU, which has the tilt; and the mean angular velocity by the balance of
-momentum, (diag(1, 1, r1/r3) - r1 k k^T) omega = -c1 ([u, 0] - R^T h), k the vertical in the body.
+which has the tilt; and the mean angular velocity by the balance of momentum,
+(diag(1, 1, r1/r3) - r1 k k^T) omega = -c1 ([u, 0] - R^T h), k the vertical in the body. Both are
+linearised at what is expected and not at what is measured: the noise of that would else be taken
+for information.
 """
 
 import math
@@ -26,13 +37,14 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.odometry.inertial_motion import Motion, sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
+    ARM,
     CONSTANTS,
     FIRST,
     FORCE_BIAS,
-    FORCE_SCALE,
+    FORCE_MATRIX,
     GYRO_BIAS,
-    GYRO_SCALE,
     MOMENTUM,
     OFFSET,
     PHI,
@@ -72,249 +84,324 @@ class InertialFilter:
         self._pivoting = pivoting
         # Below these the errors of the discretisation are larger.
         gyro, accelerometer = numbers.least_noises
-        self.imu = imu = replace(
+        self.imu = replace(
             imu, gyro_noise=max(imu.gyro_noise, gyro),
             accelerometer_noise=max(imu.accelerometer_noise, accelerometer),
         )
+        """Settings of the IMU, with noises that may have been raised."""
         self._numbers = numbers
         self._constants = np.array(robot.lumped.as_array()[1:])
         self.radius = robot.shell_radius
-        self._turn, self._place = imu.turn, np.array(imu.position)
-        self._lever = float(self._place @ self._place)
+        self.turn, self._place = imu.turn, np.array(imu.position)
 
-    def body_rates(self, belief: Belief, rates: Vector) -> Vector:
-        """Return measured rates, shape (n, 3), without their bias and scale, in the body frame."""
-        scale = 1.0 + belief.value(GYRO_SCALE)
-        found: Vector = ((rates - belief.value(GYRO_BIAS)) / scale) @ self._turn.T
-        return found
-
-    def _force(self, belief: Belief, force: Vector) -> Vector:
-        """Return a measured specific force, shape (3,), without its bias and scale."""
-        found: Vector = (force - belief.value(FORCE_BIAS)) / (1.0 + belief.value(FORCE_SCALE))
-        return found
+    def raise_noises(self, gyro: float, accelerometer: float) -> None:
+        """Raise the noise densities to those that were seen at rest, where they are larger."""
+        self.imu = replace(
+            self.imu, gyro_noise=max(self.imu.gyro_noise, gyro),
+            accelerometer_noise=max(self.imu.accelerometer_noise, accelerometer),
+        )
 
     def rolled(self, belief: Belief) -> float:
         """Return the radius as estimated [m]."""
         return self.radius * (1.0 + float(belief.numbers[RADIUS - FIRST]))
 
-    def moved(self, pose: Vector, turned: Vector, radius: float) -> tuple[Vector, Vector]:
-        """Return the pose after a small rotation [rad; body frame] and the mean orientation."""
-        q = pose[QUATERNION]
-        middle = rotation.matrix(rotation.product(q, rotation.exponential(0.5 * turned)))
+    def moved(self, pose: Vector, rates: Vector, step: float, radius: float) -> Vector:
+        """Return the pose after a step [s] with body rates [rad/s] at its ends, shape (2, 3)."""
+        before, after = rates
+        q, turn = pose[QUATERNION], rotation.matrix(pose[QUATERNION])
+        # Of a rate that is linear in time, to the fourth order.
+        turned = 0.5 * step * (before + after) + step**2 / 12.0 * (_cross(before) @ after)
         q = rotation.product(q, rotation.exponential(turned))
-        by = middle @ turned
-        x, y = pose[0] + radius * by[1], pose[1] - radius * by[0]
-        return np.concatenate(((x, y), q / math.sqrt(float(q @ q)))), middle
+        q = q / math.sqrt(float(q @ q))
+        by = 0.5 * step * (turn @ before + rotation.matrix(q) @ after)
+        return np.concatenate(((pose[0] + radius * by[1], pose[1] - radius * by[0]), q))
 
     def model_rate(
-        self, belief: Belief, turn: Vector, speeds: Vector
+        self, belief: Belief, turns: Vector, speeds: Vector
     ) -> tuple[Vector, Vector]:
-        """Return the angular velocity by the balance of momentum [rad/s; body frame], (3,).
+        """Return the angular velocity by the balance of momentum [rad/s; body frame], (..., 3).
 
-        Also the inverse of its matrix, (3, 3). `turn` is the orientation, body to world, `speeds`
-        are those of the rotors [rad/s].
+        Also the inverse of its matrix, (..., 3, 3). `turns`, (..., 3, 3), are orientations, body
+        to world, `speeds`, (..., 2), those of the rotors [rad/s].
         """
         c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
-        up = turn[2]
-        inverse = np.linalg.inv(np.diag((1.0, 1.0, r1 / r3)) - r1 * np.outer(up, up))
-        drive = np.append(speeds, 0.0) - turn.T @ belief.value(MOMENTUM)
-        return -c1 * (inverse @ drive), inverse
+        up = turns[..., 2, :]
+        inverse = np.linalg.inv(
+            np.diag((1.0, 1.0, r1 / r3)) - r1 * up[..., :, None] * up[..., None, :]
+        )
+        drive = -belief.value(MOMENTUM) @ turns
+        drive[..., :2] += speeds
+        return -c1 * (inverse @ drive[..., None])[..., 0], inverse
 
     def advance(self, belief: Belief, samples: Samples) -> tuple[Belief, Findings]:
         """Return the belief at the end of an interval, and what it has shown."""
-        rates = self._rates(belief, samples)
-        radius, turn = self.rolled(belief), self._turn
-        start, pose = rotation.matrix(belief.pose[QUATERNION]), belief.pose
-        whole = np.zeros((3, 3))  # int R T dt
-        scaled = np.zeros((3, 3))  # int R T diag(rate of the sensor) dt
-        felt = np.zeros((3, 3))  # int R T diag(specific force of the sensor) dt
-        way: Vector = np.zeros(3)
-        middles: list[Vector] = []
-        for j, (before, after) in enumerate(zip(samples.times, samples.times[1:], strict=False)):
-            step = after - before
-            mean = 0.5 * (rates[j] + rates[j + 1])
-            if samples.speeds is not None and not samples.usable:
-                mean = self._by_rotors(belief, pose, samples.speeds[j : j + 2], step)
-            turned = 0.0 * mean if samples.still else mean * step
-            pose, middle = self.moved(pose, turned, radius)
-            middles.append(middle)
-            part = middle @ turn * step
-            whole += part
-            scaled += part * (mean @ turn)
-            felt += part * self._force(belief, samples.forces[j + 1])
-            way += middle @ turned
+        numbers, motion = self._numbers, self._motion(belief, samples)
         model = None
         if samples.speeds is not None:
-            model = self._model(belief, middles, samples.speeds, samples.duration)
-        covariance = self._predicted(belief, whole, scaled, way, samples, model)
-        unexplained = self._numbers.forgotten * belief.unexplained
-        moved = Belief(pose, belief.numbers, covariance, unexplained)
-        found, by_force = moved, math.nan
+            by_gyro = samples.usable and not samples.still
+            model = self._model(belief, motion, samples.speeds, by_gyro)
+        found = belief._replace(
+            pose=motion.pose, covariance=self._predicted(belief, motion, samples, model),
+            unexplained=numbers.forgotten * belief.unexplained,
+            height=numbers.settled * belief.height,
+        )
+        by_force = by_rate = math.nan
         jump: Vector = np.zeros(3)
         largest = SATURATED * self.imu.accelerometer_range
-        if samples.usable and np.max(np.abs(samples.forces[1:])) < largest:
-            found, by_force, jump = self._with_force(moved, start, rates, whole, felt, samples)
-        by_rate = math.nan
-        if by_force > self._numbers.improbable:
+        if samples.usable and np.max(np.abs(samples.forces)) < largest:
+            found, by_force, jump = self._with_force(found, motion, samples)
+        if by_force > numbers.improbable(3):
             # Where it does not roll, the balance does not hold either.
-            found.covariance[MOMENTUM, MOMENTUM] += self._numbers.push**2 * np.eye(3)
-        elif model is not None and samples.usable:
-            found, by_rate = self._with_rate(found, *model, rates, samples)
+            found.covariance[MOMENTUM, MOMENTUM] += numbers.push**2 * np.eye(3)
+        elif samples.usable and (model is not None or samples.still):
+            found, by_rate = self._with_rate(found, motion, model, samples)
         return found, Findings(by_force, by_rate, jump)
 
-    def _rates(self, belief: Belief, samples: Samples) -> Vector:
-        """Return the angular velocities by the gyro [rad/s; body frame], zeros without one."""
-        if samples.usable:
-            return self.body_rates(belief, np.array(samples.rates))
-        return np.zeros((len(samples.times), 3))
-
-    def _by_rotors(self, belief: Belief, pose: Vector, speeds: Vector, step: float) -> Vector:
-        """Return the mean angular velocity by the rotors [rad/s; body frame], shape (3,)."""
-        q, mean = pose[QUATERNION], speeds.mean(axis=0)
-        rate, _ = self.model_rate(belief, rotation.matrix(q), speeds[0])
-        middle = rotation.product(q, rotation.exponential(0.5 * step * rate))
-        return self.model_rate(belief, rotation.matrix(middle), mean)[0]
+    def _motion(self, belief: Belief, samples: Samples) -> Motion:
+        """Return how the shell has moved: by the gyro, else the rotors; not at all at rest."""
+        number, pose = len(samples.times), belief.pose
+        sensor = sensor_map(belief, self.turn)
+        forces = np.array(samples.forces)
+        rates: Vector = np.zeros((number, 3))
+        if samples.usable and not samples.still:
+            rates = sensor.rates(np.array(samples.rates), forces)
+        turns = [rotation.matrix(pose[QUATERNION])] * number
+        radius = self.rolled(belief)
+        for j in range(0 if samples.still else number - 1):
+            pair, step = rates[j : j + 2], samples.times[j + 1] - samples.times[j]
+            if samples.speeds is not None and not samples.usable:
+                rates[j] = self.model_rate(belief, turns[j], samples.speeds[j])[0]
+                ahead = self.moved(pose, np.array([rates[j]] * 2), step, radius)
+                turn = rotation.matrix(ahead[QUATERNION])
+                rates[j + 1] = self.model_rate(belief, turn, samples.speeds[j + 1])[0]
+            pose = self.moved(pose, pair, step, radius)
+            turns[j + 1] = rotation.matrix(pose[QUATERNION])
+        forces = sensor.forces(forces)
+        times = np.array(samples.times)
+        return Motion(pose, np.array(turns), rates, forces, times, samples.weights, sensor)
 
     def _predicted(
-        self, belief: Belief, whole: Vector, scaled: Vector, way: Vector, samples: Samples,
+        self, belief: Belief, motion: Motion, samples: Samples,
         model: tuple[Vector, Vector] | None,
     ) -> Vector:
         """Return the covariance at the end of an interval."""
         imu, numbers, covariance = self.imu, self._numbers, belief.covariance
         duration = samples.duration
-        rolls = self.rolled(belief) * ROLL[:2]
         noise = np.zeros(SIZE)
         noise[GYRO_BIAS] = imu.gyro_bias_walk**2 * duration
+        noise[FORCE_BIAS] = imu.accelerometer_bias_walk**2 * duration
         noise[MOMENTUM] = numbers.momentum_walk**2 * duration
-        by = np.eye(SIZE)
-        density = imu.gyro_noise
-        turns: Vector = np.zeros((3, SIZE))
-        if samples.usable:
-            turns[:, GYRO_BIAS], turns[:, GYRO_SCALE] = -whole, -scaled
-        elif model is not None:
-            turns, density = whole @ self._turn.T @ model[1], numbers.model_noise
-        else:
-            density = numbers.blind
-        if not samples.still:
-            by[PHI] += turns
-            by[P, PHI] = -rolls @ _cross(way)
-            by[P] += rolls @ turns
-            by[P, RADIUS] = rolls @ way
-            by[MOMENTUM] += _cross(belief.value(MOMENTUM)) @ turns
-        predicted = by @ covariance @ by.T
-        if not samples.still:
-            turning = np.vstack((rolls, np.eye(3)))
-            predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
-        # Slip and pivoting go on, so that their ways add up, not their squares.
-        slipped = math.sqrt(float(belief.unexplained @ belief.unexplained)) * duration
-        noise[P] += slipped * (slipped + 2.0 * np.sqrt(np.diag(covariance)[P].max()))
+        predicted = covariance.copy()
         if samples.still:
             turned, heading = self._pivoting * duration, PHI.stop - 1
             noise[heading] += turned * (turned + 2.0 * math.sqrt(covariance[heading, heading]))
-        if abs(belief.unexplained[2]) > numbers.lift:
+        else:
+            rolls = self.rolled(belief) * ROLL[:2]
+            density = imu.gyro_noise
+            weighted = motion.weights[:, None, None] * motion.turns
+            way = (weighted @ motion.rates[:, :, None]).sum(axis=0)[:, 0]
+            errors = motion.turned
+            within: Vector = np.zeros((2, SIZE))
+            if samples.usable:
+                turns = errors[-1]
+                spins = _crosses(weighted @ motion.rates[:, :, None])
+                within = -rolls @ (spins @ errors).sum(axis=0)
+            elif model is not None:
+                turns = weighted.sum(axis=0) @ model[1]
+                density = numbers.model_noise
+            else:
+                turns, density = np.zeros((3, SIZE)), numbers.blind
+            by = np.eye(SIZE)
+            by[PHI] += turns
+            by[P, PHI] = -rolls @ _cross(way)
+            by[P] += rolls @ turns + within
+            by[P, RADIUS] = rolls @ way
+            by[MOMENTUM] += _cross(belief.value(MOMENTUM)) @ turns
+            predicted = by @ covariance @ by.T
+            turning = np.vstack((rolls, np.eye(3)))
+            predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
+        # Slip goes on, so that its ways add up, not their squares.
+        slipped = math.sqrt(float(belief.unexplained @ belief.unexplained)) * duration
+        noise[P] += slipped * (slipped + 2.0 * np.sqrt(np.diag(covariance)[P].max()))
+        if numbers.is_lifted(belief.height, belief.slipping):
             noise[P] += numbers.carried**2 * duration
         predicted[np.diag_indices(SIZE)] += noise
         return predicted
 
     def _with_force(
-        self, belief: Belief, start: Vector, rates: Vector, whole: Vector, felt: Vector,
-        samples: Samples,
+        self, belief: Belief, motion: Motion, samples: Samples
     ) -> tuple[Belief, float, Vector]:
         """Return the belief with the integrated specific force taken into account."""
         numbers, imu, duration = self._numbers, self.imu, samples.duration
-        radius, turn = self.rolled(belief), self._turn
-        end = rotation.matrix(belief.pose[QUATERNION])
-        force = felt.sum(axis=1)
-        first, last = rates[0], rates[-1]
-        by = np.zeros((3, SIZE))
-        by[:, FORCE_BIAS], by[:, FORCE_SCALE] = whole, felt
-        change = lever = np.zeros(3)
-        if not samples.still:
-            change = end @ last - start @ first
-            lever = end @ np.cross(last, self._place) - start @ np.cross(first, self._place)
-            arm = _cross(self._place)
-            after, before = (
-                (radius * ROLL @ place - place @ arm) @ turn for place in (end, start)
-            )
-            by[:, GYRO_BIAS] = before - after
-            by[:, GYRO_SCALE] = before * (first @ turn) - after * (last @ turn)
-        expected = radius * (ROLL @ change) + lever + GRAVITY * duration * _UP
+        radius = self.rolled(belief)
+        place = self._place + belief.value(ARM)
+        ends = [0, -1]
+        turns, rates = motion.turns[ends], motion.rates[ends]
+        rolling = radius * ROLL @ turns - turns @ _cross(place)
+        weighted = motion.weights[:, None, None] * (motion.turns @ self.turn)
+        force = (weighted @ motion.forces[:, :, None]).sum(axis=0)[:, 0]
+        before, after = (rolling @ rates[:, :, None])[:, :, 0]
+        expected = after - before + GRAVITY * duration * _UP
         jump = force - expected
-        # At what is expected, for which a change of the heading has no effect: with the noise of
-        # what is measured the filter would take it for information on the heading.
-        by[:, PHI] = _cross(expected) - radius * (ROLL @ _cross(change)) - _cross(lever)
-        variance = imu.accelerometer_noise**2 * duration
+        # What is expected at each reading is what is measured without the mean innovation.
+        forces = motion.forces - (jump / duration) @ (motion.turns @ self.turn)
+        by: Vector = np.zeros((3, SIZE))
+        turned: Vector = np.zeros((len(forces), 3, SIZE))
+        if not samples.still:
+            at_ends = rolling @ motion.rate_errors(forces)[ends]
+            by += at_ends[1] - at_ends[0]
+            turned = motion.turned - motion.turned[-1]  # less than at the end
+        corrected = weighted @ motion.sensor.force
+        by[:, FORCE_BIAS] += corrected.sum(axis=0)
+        by[:, FORCE_MATRIX] += np.einsum("kai,kj->aij", corrected, forces).reshape(3, 9)
+        # By the error of the orientation at each reading: what is felt turns, and the velocities.
+        turns_by = _crosses(weighted @ forces[:, :, None])
+        for end, sign in ((0, 1.0), (-1, -1.0)):
+            spin = turns[end] @ rates[end]
+            lever = turns[end] @ (_cross(rates[end]) @ place)
+            turns_by[end] += sign * (radius * ROLL @ _cross(spin) + _cross(lever))
+            by[:, ARM] -= sign * _cross(spin) @ turns[end]
+        by[:, PHI] = turns_by.sum(axis=0)
+        by += (turns_by @ turned).sum(axis=0)
+        change = turns[1] @ rates[1] - turns[0] @ rates[0]
+        variance = imu.accelerometer_noise**2 * duration + belief.vibration
         # That of the radius counts, but is not estimated: scales of the sensors look the same.
         variance += radius**2 * float(change @ change) * float(belief.covariance[RADIUS, RADIUS])
         if not samples.still:
-            variance += 2.0 * (radius**2 + self._lever) * imu.gyro_noise**2 / samples.step
-        found, square = self._updated(belief, by, jump, variance * np.eye(3), numbers.improbable)
-        if square > numbers.improbable:
+            arm = radius**2 + float(place @ place)
+            variance += 2.0 * arm * imu.gyro_noise**2 / samples.step
+        largest = numbers.improbable(3)
+        found, square, total = self._updated(belief, by, jump, np.diag(variance), largest)
+        # Less what an event adds that is none of a vibration.
+        excess = np.minimum(jump**2 - np.diag(total), numbers.clipped * np.diag(total))
+        share = min(1.0, duration / numbers.vibrates)
+        vibration = np.maximum(0.0, belief.vibration + share * excess)
+        if square > largest:
             # Or the tilt, or the bias is another one: where that lasts it is learnt anew.
             covariance = belief.covariance.copy()
             for part, size in ((PHI, 1.0), (FORCE_BIAS, GRAVITY)):
                 covariance[part, part] += (numbers.doubt * size) ** 2 * np.eye(3)
             unexplained = belief.unexplained + jump
             found = belief._replace(covariance=covariance, unexplained=unexplained)
+        height = found.height + float(found.unexplained[2]) * duration
+        slipping = belief.slipping + 1 if square > largest else 0
+        found = found._replace(vibration=vibration, height=height, slipping=slipping)
         return found, square, jump
 
     def _model(
-        self, belief: Belief, middles: list[Vector], speeds: Vector, duration: float
+        self, belief: Belief, motion: Motion, speeds: Vector, is_measured: bool
     ) -> tuple[Vector, Vector]:
         """Return the mean angular velocity by the balance of momentum, and its derivative.
 
-        In rad/s and the body frame, shape (3,), by the error, shape (3, 25).
+        In rad/s and the body frame, shape (3,), by the error at the end, shape (3, 49);
+        `is_measured` where the orientations follow from the gyro.
         """
-        means = 0.5 * (speeds[:-1] + speeds[1:])
-        rates = [
-            self.model_rate(belief, middle, mean)
-            for middle, mean in zip(middles, means, strict=True)
-        ]
-        half = len(middles) // 2
-        turn, (rate, inverse) = middles[half], rates[half]
-        c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
-        up, by = turn[2], np.zeros((3, SIZE))
+        shares = motion.weights / motion.weights.sum()
+        rates, inverses = self.model_rate(belief, motion.turns, speeds)
+        _, r1, r3 = constants = self._constants * (1.0 + belief.value(CONSTANTS))
+        turns, up = motion.turns, motion.turns[:, 2, :, None]
+        mean: Vector = np.zeros((3, SIZE))
+        inverse = shares[:, None, None] * inverses
         # The vertical in the body changes by -R^T (phi x e3), the momentum in it by its own error.
-        tilted = turn.T @ _cross(_UP)
-        by[:, PHI] = r1 * inverse @ (np.outer(up, tilted.T @ rate) + (up @ rate) * tilted)
-        by[:, MOMENTUM] = c1 * (inverse @ turn.T)
-        axial = np.array((0.0, 0.0, r1 / r3 * rate[2]))
-        by[:, CONSTANTS] = np.column_stack((
-            rate, inverse @ (r1 * (up @ rate) * up - axial), inverse @ axial
+        tilted = turns.transpose(0, 2, 1) @ _cross(_UP)
+        along = up.transpose(0, 2, 1) @ rates[:, :, None]
+        by = up @ (rates[:, None, :] @ tilted) + along * tilted
+        tilts = r1 * inverse @ by
+        mean[:, PHI] = tilts.sum(axis=0)
+        mean[:, MOMENTUM] = constants[0] * (inverse @ turns.transpose(0, 2, 1)).sum(axis=0)
+        axial = r1 / r3 * rates[:, :, None] * _UP[:, None]
+        mean[:, CONSTANTS] = np.column_stack((
+            shares @ rates, (inverse @ (r1 * along * up - axial)).sum(axis=0),
+            (inverse @ axial).sum(axis=0),
         ))
-        by[:, OFFSET] = -c1 * (inverse @ np.append((speeds[-1] - speeds[0]) / duration, 0.0))
-        return np.mean([found for found, _ in rates], axis=0), by
+        if is_measured:
+            turned = motion.turned
+            mean += (tilts @ (turned - turned[-1])).sum(axis=0)
+        slope = (speeds[-1] - speeds[0]) / motion.weights.sum()
+        mean[:, OFFSET] = -constants[0] * inverse.sum(axis=0) @ np.append(slope, 0.0)
+        return shares @ rates, mean
 
     def _with_rate(
-        self, belief: Belief, model: Vector, by: Vector, rates: Vector, samples: Samples,
+        self, belief: Belief, motion: Motion, model: tuple[Vector, Vector] | None,
+        samples: Samples,
     ) -> tuple[Belief, float]:
-        """Return the belief with the angular velocity by the balance of momentum."""
+        """Return the belief with the rate by the balance of momentum, and with that of rest."""
         numbers, imu, duration = self._numbers, self.imu, samples.duration
-        wanted = np.zeros(3) if samples.still else 0.5 * np.mean(rates[:-1] + rates[1:], axis=0)
-        if not samples.still:
-            by[:, GYRO_BIAS] = self._turn
-            by[:, GYRO_SCALE] = self._turn * (wanted @ self._turn)
-        variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
-        # Within a step of speeds the mean of two readings is not theirs.
-        variance += (self._constants[0] * samples.bend / (len(samples.times) - 1)) ** 2
-        noise = variance * np.eye(3)
-        found, square = self._updated(belief, by, wanted - model, noise, numbers.improbable)
-        if square > numbers.improbable:
-            # A push, or slip: the momentum is another one; or stamps are wrong.
-            covariance = belief.covariance.copy()
-            covariance[MOMENTUM, MOMENTUM] += numbers.push**2 * np.eye(3)
-            covariance[OFFSET, OFFSET] += numbers.offset**2
-            belief = belief._replace(covariance=covariance)
-            found, _ = self._updated(belief, by, wanted - model, noise, math.inf)
+        largest, square, found = numbers.improbable(3), math.nan, belief
+        if model is not None:
+            expected, by = model
+            innovation = -expected
+            if not samples.still:
+                innovation = motion.weights @ motion.rates / duration - expected
+                rates = np.tile(expected, (len(motion.rates), 1))
+                errors = motion._replace(rates=rates).rate_errors(motion.forces)
+                by = by - np.tensordot(motion.weights / duration, errors, 1)
+            variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
+            # Within a step of speeds the mean of two readings is not theirs.
+            variance += (self._constants[0] * samples.bend / (len(samples.times) - 1)) ** 2
+            noise = variance * np.eye(3)
+            found, square, _ = self._updated(belief, by, innovation, noise, largest)
+            if square > largest:
+                # A push, or slip: the momentum is another one; or stamps are wrong.
+                covariance = belief.covariance.copy()
+                covariance[MOMENTUM, MOMENTUM] += numbers.push**2 * np.eye(3)
+                covariance[OFFSET, OFFSET] += numbers.offset**2
+                belief = belief._replace(covariance=covariance)
+                found, _, _ = self._updated(belief, by, innovation, noise, math.inf)
         if samples.still:
-            # The rate of the shell is measured as well: it is zero.
-            measured = self.body_rates(found, np.array(samples.rates)).mean(axis=0)
-            at_rest = np.zeros((3, SIZE))
-            at_rest[:, GYRO_BIAS] = self._turn
-            found, _ = self._updated(
-                found, at_rest, measured, imu.gyro_noise**2 / duration * np.eye(3), math.inf
-            )
+            found = self._at_rest(found, motion, samples)
         return found, square
+
+    def rest_square(self, belief: Belief, samples: Samples) -> float:
+        """Return the normalised square of the angular velocity of a shell at rest."""
+        by, rate = self._rate_at_rest(belief, self._motion(belief, samples), samples)
+        noise = self.imu.gyro_noise**2 / samples.duration * np.eye(3)
+        return self._updated(belief, by, rate, noise, 0.0)[1]
+
+    def tilt_square(self, belief: Belief, samples: Samples) -> tuple[float, float]:
+        """Return the normalised square of the force on a shell at rest, and the angle it shows.
+
+        The angle is that between the verticals by force and by the belief [rad].
+        """
+        motion = self._motion(belief, samples)
+        force = motion.turns[0] @ self.turn @ motion.forces[0]
+        between = math.atan2(math.hypot(force[0], force[1]), force[2])
+        return self._with_force(belief, motion, samples)[1], between
+
+    def _rate_at_rest(
+        self, belief: Belief, motion: Motion, samples: Samples
+    ) -> tuple[Vector, Vector]:
+        """Return the derivative of the rate at rest by the error, and the rate [rad/s; body]."""
+        duration = samples.duration
+        sensor = sensor_map(belief, self.turn)
+        measured = sensor.rates(np.array(samples.rates), np.array(samples.forces))
+        turn = motion.turns[0] @ self.turn
+        forces = np.tile(GRAVITY * turn[2], (len(measured), 1))
+        by = -np.tensordot(motion.weights / duration, motion.rate_errors(forces), 1)
+        return np.asarray(by, float), motion.weights @ measured / duration
+
+    def _at_rest(self, belief: Belief, motion: Motion, samples: Samples) -> Belief:
+        """Return the belief with the rate of the shell, which is zero, taken into account."""
+        numbers = self._numbers
+        by, rate = self._rate_at_rest(belief, motion, samples)
+        noise = self.imu.gyro_noise**2 / samples.duration * np.eye(3)
+        found, _, _ = self._updated(belief, by, rate, noise, numbers.improbable(3))
+        return found
+
+    def with_other_bias(self, belief: Belief, samples: Samples) -> Belief:
+        """Return the belief of a gyro whose bias is another one, as its rate at rest shows.
+
+        Or the shell has turned about the vertical while that was seen.
+        """
+        by, rate = self._rate_at_rest(belief, self._motion(belief, samples), samples)
+        covariance = belief.covariance.copy()
+        covariance[GYRO_BIAS, GYRO_BIAS] += np.diag(self._numbers.bias_jump**2 + rate**2)
+        turned, heading = float(np.linalg.norm(rate)) * samples.duration, PHI.stop - 1
+        covariance[heading, heading] += turned**2
+        noise = self.imu.gyro_noise**2 / samples.duration * np.eye(3)
+        return self._updated(
+            belief._replace(covariance=covariance), by, rate, noise, math.inf
+        )[0]
 
     def with_pose(
         self, belief: Belief, pose: Vector, covariance: Vector, largest: float
@@ -329,18 +416,22 @@ class InertialFilter:
             pose[POSITION] - belief.pose[POSITION], rotation.logarithm(turn)
         ))
         by = np.eye(5, SIZE)
-        return self._updated(belief, by, innovation, covariance, largest)
+        found, square, _ = self._updated(belief, by, innovation, covariance, largest)
+        return found, square
 
     def _updated(
         self, belief: Belief, by: Vector, innovation: Vector, noise: Vector, largest: float
-    ) -> tuple[Belief, float]:
-        """Return the belief updated by a measurement, unless its square is beyond `largest`."""
+    ) -> tuple[Belief, float, Vector]:
+        """Return the belief updated by a measurement, unless its square is beyond `largest`.
+
+        Also that normalised square of the innovation, and its covariance.
+        """
         across = by @ belief.covariance
         total = across @ by.T + noise
         solved = np.linalg.solve(total, np.column_stack((innovation, across)))
         square = float(innovation @ solved[:, 0])
         if not square <= largest:
-            return belief, square
+            return belief, square, total
         error = across.T @ solved[:, 0]
         covariance = belief.covariance - across.T @ solved[:, 1:]
         covariance = 0.5 * (covariance + covariance.T)
@@ -349,10 +440,18 @@ class InertialFilter:
         turn = rotation.matrix(rotation.exponential(error[PHI]))
         numbers[momentum] = turn @ numbers[momentum]
         pose = applied(belief.pose, error[POSE_ERROR])
-        return Belief(pose, numbers, covariance, belief.unexplained), square
+        found = belief._replace(pose=pose, numbers=numbers, covariance=covariance)
+        return found, square, total
 
 
 def _cross(vector: Vector) -> Vector:
     """Return the matrix of the cross product with a vector, shape (3, 3)."""
     x, y, z = vector.tolist()
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def _crosses(vectors: Vector) -> Vector:
+    """Return the matrices of the cross products with vectors, (n, 3, 1), shape (n, 3, 3)."""
+    x, y, z = vectors[:, :, 0].T
+    zero = np.zeros(len(vectors))
+    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)

@@ -13,12 +13,12 @@ import numpy as np
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
-P, PHI, GYRO_BIAS, GYRO_SCALE, FORCE_BIAS, FORCE_SCALE, MOMENTUM, CONSTANTS = (
-    slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11), slice(11, 14), slice(14, 17),
-    slice(17, 20), slice(20, 23),
+P, PHI, GYRO_BIAS, FORCE_BIAS = slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11)
+GYRO_MATRIX, FORCE_MATRIX, BY_FORCE = slice(11, 20), slice(20, 29), slice(29, 38)
+ARM, MOMENTUM, CONSTANTS, RADIUS, OFFSET, SIZE = (
+    slice(38, 41), slice(41, 44), slice(44, 47), 47, 48, 49,
 )
-RADIUS, OFFSET, SIZE = 23, 24, 25
-"""Places in the error."""
+"""Places in the error; matrices are there by rows."""
 POSE_ERROR = slice(0, 5)
 FIRST = 5
 """Size of the error of the pose, behind which the error is one of numbers."""
@@ -30,11 +30,17 @@ class Belief(NamedTuple):
     pose: Vector
     """Shape (6,)."""
     numbers: Vector
-    """All that is behind the pose in the error, shape (20,)."""
+    """All that is behind the pose in the error, shape (44,)."""
     covariance: Vector
-    """Of the error, shape (25, 25)."""
+    """Of the error, shape (49, 49)."""
     unexplained: Vector
     """Change of velocity that rolling has not explained recently [m/s; world], shape (3,)."""
+    vibration: Vector
+    """Variance of velocities by the vibration of shell and floor [m^2/s^2; world], shape (3,)."""
+    height: float = 0.0
+    """Vertical way that rolling has not explained recently [m]."""
+    slipping: int = 0
+    """Intervals in a row whose force rolling does not explain: a bump takes some."""
 
     def value(self, part: slice) -> Vector:
         """Return a part of the numbers by its place in the error."""
@@ -69,8 +75,7 @@ class Samples(NamedTuple):
     times : list of float
         [s], n + 1 of them.
     rates, forces : list of ndarray, each shape (3,)
-        Angular velocity [rad/s], and mean specific force since the reading before [m/s^2], in the
-        axes of the sensor.
+        Angular velocity [rad/s] and specific force [m/s^2] in the axes of the sensor.
     valid : list of bool
         Whether gyro and accelerometer can be believed.
     speeds : ndarray, shape (n + 1, 2), optional
@@ -78,7 +83,7 @@ class Samples(NamedTuple):
     bend : float
         Second differences of these speeds: root of their sum of squares [rad/s].
     still : bool
-        Whether rotors and shell are at rest.
+        Whether the shell is at rest.
     """
 
     times: list[float]
@@ -104,6 +109,12 @@ class Samples(NamedTuple):
         """Mean time between two readings [s]."""
         return self.duration / (len(self.times) - 1)
 
+    @property
+    def weights(self) -> Vector:
+        """Weights of the readings in an integral over the interval [s], shape (n + 1,)."""
+        steps = np.diff(self.times)
+        return 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+
     def part(self, which: slice) -> "Samples":
         """Return some of the readings in a row."""
         speeds = None if self.speeds is None else self.speeds[which]
@@ -118,7 +129,7 @@ def replaced(belief: Belief, pose: Vector, covariance: Vector) -> Belief:
     changed = belief.covariance.copy()
     changed[POSE_ERROR, :] = changed[:, POSE_ERROR] = 0.0
     changed[POSE_ERROR, POSE_ERROR] = covariance
-    return Belief(pose, belief.numbers, changed, np.zeros(3))
+    return belief._replace(pose=pose, covariance=changed, unexplained=np.zeros(3), height=0.0)
 
 
 def applied(pose: Vector, error: Vector) -> Vector:

@@ -13,28 +13,47 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.inertial_filter import ROLL, InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap, sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
     GYRO_BIAS,
     PHI,
     POSE_ERROR,
     Belief,
     Samples,
+    replaced,
 )
-from sphere_nmpc.estimation.odometry.placement import LEAST_DEVIATION, initial_belief, placed
-from sphere_nmpc.estimation.odometry.pose_history import Fix, PoseHistory
-from sphere_nmpc.estimation.odometry.rest import MOST_NOISE, RestDetector
+from sphere_nmpc.estimation.odometry.placement import (
+    LEAST_DEVIATION,
+    Fix,
+    bounded,
+    contradiction,
+    has_tilt,
+    initial_belief,
+    tilt_deviation,
+    with_vertical,
+)
+from sphere_nmpc.estimation.odometry.pose_history import PoseHistory
+from sphere_nmpc.estimation.odometry.rest import RestDetector
 from sphere_nmpc.estimation.odometry.rotor_speeds import RotorSpeeds
 from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 from sphere_nmpc.model.units import RobotUnits
+
+_FASTER = 6.0
+"""Standard deviations [-] by which a rate has to differ from that at rest to move the pose."""
+_GAP = 4.0
+"""Times of a reading [-] after which readings are missing."""
+_CONTRADICTED = 4.0
+"""Improbable squares of a force at rest [-] at which the tilt is another one."""
+_ANY_TILT = np.eye(2)
+"""Covariance of a tilt before the force at rest shows it [rad^2]."""
 
 
 class PoseEstimate(NamedTuple):
@@ -86,7 +105,7 @@ class Odometry:
         self._settings = settings
         self._numbers = OdometryNumbers().of(RobotUnits.of(robot))
         self._filter = InertialFilter(imu, robot, self._numbers, settings.pivoting)
-        self._imu = self._filter.imu
+        self._imu = imu
         self._robot = robot
         self.faults = SensorFaults(imu, self._numbers)
         """Faults of the sensors, and what has happened to the sphere."""
@@ -101,46 +120,69 @@ class Odometry:
     def _begin(self) -> None:
         """Begin anew without readings."""
         self._belief: Belief | None = None
+        self._stood: tuple[float, Belief]
         self._open = Samples([], [], [], [])
         numbers, settings, robot = self._numbers, self._settings, self._robot
-        self._history = PoseHistory(
-            self._filter, settings.fix_memory, numbers.improbable, numbers.most_outliers
-        )
+        self._history = PoseHistory(self._filter, settings.fix_memory, numbers)
         self._speeds = RotorSpeeds(numbers.silence, robot.max_rotor_acceleration)
-        self._rest = RestDetector(self._filter, robot.lumped.input_gain, numbers)
+        self._rest = RestDetector(self._filter.imu, robot.lumped.input_gain, numbers)
         self._pending: list[Fix] = []
+        self._fixes: list[Fix] = []
         self._head: Vector = self._given.pose
         self._rate = np.zeros(3)
+        self._sensor: SensorMap | None = None
+        self._slowest = math.inf
         self._was_still = False
-        self._still_since = math.nan
-        self.is_calibrated = False
+        self._step = 0.0
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the sphere has rested long enough once, so that there is an estimate."""
+        return self._belief is not None
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """The present conditions, the worst first."""
-        if not self.is_calibrated and self._open.times:
-            needed = f"{self._settings.calibration_time:g} s"
-            text = f"given no rest of {needed} yet, expected the robot to be left alone for it"
-            return (Condition(Kind.CALIBRATING, text), *self.faults.conditions)
-        return self.faults.conditions
+        """The present conditions, the worst first; what the calibration waits for is first."""
+        found = self.faults.conditions
+        if self.is_calibrated or not self._open.times:
+            return found
+        needed = f"{self._settings.calibration_time:g} s"
+        since = f"at rest for {self._rest.duration:.1f} s"
+        text = f"given {self._rest.moves or since}, expected {needed} of rest"
+        return worst_first((*found, Condition(Kind.CALIBRATING, text)))
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the position is not known until a pose is given."""
+        return self.faults.is_lost
+
+    @property
+    def delay(self) -> float:
+        """Time by which readings of the IMU are later than their stamps [s]."""
+        return 0.5 * self._step if self._imu.delay < 0.0 else self._imu.delay
 
     @property
     def estimate(self) -> PoseEstimate | None:
         """The pose at the newest reading; None before the calibration."""
         belief = self._belief
-        if belief is None or not self.is_calibrated:
+        if belief is None:
             return None
-        turn = rotation.matrix(self._head[QUATERNION])
+        radius, rate = self._filter.rolled(belief), self._rate
+        pose = self._filter.moved(self._head, np.array((rate, rate)), self.delay, radius)
+        turn = rotation.matrix(pose[QUATERNION])
         to_body = np.eye(5)
         to_body[2:, 2:] = turn.T
-        rolls = self._filter.rolled(belief) * ROLL
+        velocity = radius * ROLL @ (turn @ rate)
+        moves = np.concatenate((velocity[:2], turn @ rate))
+        within = belief.covariance[POSE_ERROR, POSE_ERROR]
+        if self._imu.delay < 0.0:  # of an even distribution over the time between two readings
+            within = within + self._step**2 / 12.0 * np.outer(moves, moves)
         spread = belief.covariance[GYRO_BIAS, GYRO_BIAS]
-        spread = spread + np.eye(3) * self._imu.gyro_noise**2 / self._numbers.interval
-        by = np.vstack((turn.T @ rolls @ turn, np.eye(3)))
+        spread = spread + np.eye(3) * self._filter.imu.gyro_noise**2 / self._numbers.interval
+        by = np.vstack((turn.T @ (radius * ROLL) @ turn, np.eye(3)))
         return PoseEstimate(
-            self._open.times[-1], self._head,
-            to_body @ belief.covariance[POSE_ERROR, POSE_ERROR] @ to_body.T,
-            rolls @ (turn @ self._rate), self._rate, by @ spread @ by.T,
+            self._open.times[-1], pose, to_body @ within @ to_body.T, velocity, rate,
+            by @ spread @ by.T,
         )
 
     @property
@@ -161,9 +203,13 @@ class Odometry:
         """
         if not (math.isfinite(time) and np.isfinite(rate).all() and np.isfinite(force).all()):
             raise InvalidInputError("IMU", [time, *rate, *force], "finite numbers")
-        if self._open.times and time > self._open.times[-1] + self._numbers.interval:
+        given = np.asarray(rate, float), np.asarray(force, float)
+        newest = self._open.times[-1] if self._open.times else math.inf
+        if time > newest + max(self._numbers.interval, _GAP * self._step):
             self._bridge(time)
-        return self._take(time, np.asarray(rate, float), np.asarray(force, float), True)
+            if self._belief is not None and time > self._open.times[-1] + self._numbers.silence:
+                return self._cross_gap(time, *given)
+        return self._take(time, *given, True)
 
     def observe_rotors(self, time: float, speeds: Vector, angles: Vector | None = None) -> bool:
         """Take speeds [rad/s] and, where known, angles [rad] of the rotors, shape (2,) each.
@@ -181,6 +227,9 @@ class Odometry:
             self.faults.see(Kind.IMU_SILENT, time, f"given none for {time - newest:.2f} s")
             self._bridge(math.inf)
             return True
+        if self._belief is None:
+            # Without an IMU nothing else discards them.
+            self._speeds.forget_before(time - self._numbers.silence - self._numbers.interval)
         self._close_if_due()
         return False
 
@@ -191,6 +240,21 @@ class Odometry:
         for stamp in [stamp for stamp in self._speeds.times if newest < stamp < until]:
             self._take(stamp, rate, force, False)
 
+    def _cross_gap(self, time: float, rate: Vector, force: Vector) -> bool:
+        """Take the first reading after a time in which nothing is known of the motion."""
+        gap = time - self._open.times[-1]
+        self._close()
+        was_still = self._was_still
+        self._take(time, rate, force, False)
+        self._close()
+        self._open.valid[0] = True
+        if not was_still:
+            self.faults.see(
+                Kind.POSITION_UNKNOWN, time,
+                f"given no reading for {gap:.2f} s in motion; pose_fix or initialpose tells it",
+            )
+        return self.is_calibrated
+
     def set_pose(self, time: float, pose: Vector, covariance: Vector | None) -> None:
         """Place the sphere, at the newest reading.
 
@@ -200,17 +264,14 @@ class Odometry:
         """
         pose = as_state(pose)
         given = Fix(time, pose, self._covariance(pose, covariance))
+        self.faults.placed()
         if self._belief is None:
             self._given = given
             return
         self._close()
-        vertical = rotation.vertical(self._belief.pose[QUATERNION])
-        tilt = slice(PHI.start, PHI.start + 2)
-        spread = self._belief.deviation(tilt)
-        self._belief = self._placed(self._belief, given, vertical, spread)
+        self._belief = self._placed(self._belief, given)
         self._history.clear()
-        self.faults.placed()
-        self._head = self._belief.pose
+        self._follow_readings()
 
     def correct(self, time: float, pose: Vector, covariance: Vector | None) -> Condition | None:
         """Take a pose that was measured elsewhere at `time` [s]; see `set_pose`.
@@ -220,22 +281,27 @@ class Odometry:
         pose = as_state(pose)
         if not math.isfinite(time):
             raise InvalidStateError("time of the fix", time, "a finite number [s]")
-        fix = Fix(time, pose, self._covariance(pose, covariance))
         if self._belief is None:
-            return self._left_out("given a fix before the first reading of the IMU")
-        newest = self._open.times[-1]
-        if time > newest + self._settings.fix_memory:
+            return self._left_out("given a fix before the calibration of the IMU")
+        memory, newest = self._settings.fix_memory, self._open.times[-1]
+        if time > newest + memory:
             return self._left_out(
                 f"given a stamp {time - newest:.3g} s ahead of the newest reading of the IMU, "
                 "expected the clock of the IMU"
             )
         oldest = min(self._history.oldest, self._open.times[0])
-        if time < max(oldest, newest - self._settings.fix_memory):
+        if time < max(oldest, newest - memory):
             return self._left_out(
                 f"given a fix {newest - time:.3g} s old, expected at most "
-                f"{min(newest - oldest, self._settings.fix_memory):.3g} s (fix_memory)"
+                f"{min(newest - oldest, memory):.3g} s (fix_memory)"
             )
-        if time > self._open.times[0]:
+        self._fixes = [one for one in self._fixes if one.time > newest - 2.0 * memory]
+        if any(one.time == time and np.array_equal(one.pose, pose) for one in self._fixes):
+            return self._left_out("given the same fix again")
+        # Readings are those of the time of their stamps less the delay.
+        fix = Fix(time + self.delay, pose, self._covariance(pose, covariance))
+        self._fixes.append(Fix(time, pose, fix.covariance))
+        if fix.time > self._open.times[0]:
             self._pending.append(fix)
             return None
         return self._use(fix)
@@ -246,8 +312,8 @@ class Odometry:
         if time > newest + self._numbers.silence:
             given = "given none" if newest < 0.0 else f"given none for {time - newest:.2f} s"
             self.faults.see(Kind.IMU_SILENT, time, given)
-        if not self._speeds.reach(time - self._numbers.silence):
-            self.faults.see(Kind.ENCODERS_SILENT, time, "rest and pushes cannot be told")
+        if self._speeds.times and not self._speeds.reach(time - self._numbers.silence):
+            self.faults.see(Kind.ENCODERS_SILENT, time, "slow motions and pushes cannot be told")
         self.faults.forget_before(time - self._numbers.remembered)
 
     def forget(self) -> None:
@@ -265,7 +331,7 @@ class Odometry:
             covariance = np.diag(np.square(deviations))
         turn = np.eye(5)
         turn[2:, 2:] = rotation.matrix(pose[QUATERNION])
-        found: Vector = turn @ covariance @ turn.T + LEAST_DEVIATION**2 * np.eye(5)
+        found: Vector = turn @ bounded(covariance) @ turn.T + LEAST_DEVIATION**2 * np.eye(5)
         return found
 
     def _left_out(self, text: str) -> Condition:
@@ -294,24 +360,21 @@ class Odometry:
             return
         pair = self._rates(belief, samples, last - 1)
         step, self._rate = samples.times[last] - samples.times[last - 1], pair[1]
-        if self._was_still and self._is_slow(pair[1], step):
+        if self._was_still and float(pair[1] @ pair[1]) < self._slowest**2:
             self._rate = np.zeros(3)
             return
-        radius = self._filter.rolled(belief)
-        self._head, _ = self._filter.moved(self._head, 0.5 * (pair[0] + pair[1]) * step, radius)
+        self._head = self._filter.moved(self._head, pair, step, self._filter.rolled(belief))
 
     def _rates(self, belief: Belief, samples: Samples, first: int) -> Vector:
         """Return the angular velocities of two readings [rad/s; body frame], shape (2, 3)."""
-        speeds = self._speeds.newest
-        if all(samples.valid[first : first + 2]) or speeds is None:
-            return self._filter.body_rates(belief, np.array(samples.rates[first : first + 2]))
+        speeds, two = self._speeds.newest, slice(first, first + 2)
+        if all(samples.valid[two]) and self._sensor is not None:
+            return self._sensor.rates(np.array(samples.rates[two]), np.array(samples.forces[two]))
+        if speeds is None:
+            return np.zeros((2, 3))
         turn = rotation.matrix(self._head[QUATERNION])
         rate = self._filter.model_rate(belief, turn, speeds)[0]
         return np.array((rate, rate))
-
-    def _is_slow(self, rate: Vector, step: float) -> bool:
-        """Return whether an angular velocity may be noise of the gyro at rest."""
-        return float(rate @ rate) < (MOST_NOISE * self._imu.gyro_noise) ** 2 / step
 
     def _close_if_due(self) -> None:
         """End the open interval where it is long enough and the speeds of the rotors are there."""
@@ -320,11 +383,11 @@ class Odometry:
         if not times or times[-1] < due:
             return
         end = bisect_left(times, due)
-        # A reading further, as the acceleration is that of the speeds before and after.
         step = (times[end] - times[0]) / end
-        late = 0.0 if self._belief is None else self._belief.late
-        is_known = self._speeds.reach(times[end] + late + 0.9 * step)
-        if is_known or times[-1] > times[end] + numbers.silence:
+        late = -0.5 * step if self._belief is None else self._belief.late
+        is_known = self._speeds.cover(times[end], step, late)
+        is_late = times[-1] > times[end] + numbers.silence
+        if is_known or is_late or not self._speeds.reach(times[end] - numbers.silence):
             self._close(end)
 
     def _close(self, end: int = -1) -> None:
@@ -334,60 +397,133 @@ class Odometry:
         if end < 1:
             return
         before, after = whole.part(slice(0, end + 1)), whole.part(slice(end, None))
-        belief = self._belief or self._started(before)
-        samples = self._speeds.added_to(before, belief.late)
-        samples = samples._replace(still=self._rest.is_at_rest(belief, samples))
+        self._step, self._open = before.step, after
+        belief = self._belief
+        samples = self._speeds.added_to(before, -self.delay if belief is None else belief.late)
+        rests = self._rest.observe(samples)
+        self._speeds.forget_before(samples.times[0] - 2.0 * self._numbers.interval)
+        if belief is None:
+            self._calibrate(samples)
+            return
+        if rests:
+            belief, samples = self._with_rest(belief, samples)
         self._history.append(belief, samples)
         self._belief, findings = self._filter.advance(belief, samples)
-        self._open, self._was_still = after, samples.still
-        self.faults.interval(samples, findings, self._belief)
-        self._calibrate(samples, self._belief)
+        self._was_still = samples.still
+        self.faults.interval(samples, findings, self._belief, self.delay)
+        if samples.still and self._rest.is_lasting():
+            self._compare_tilt(self._belief)
         due = [fix for fix in self._pending if fix.time <= samples.times[-1]]
         self._pending = [fix for fix in self._pending if fix.time > samples.times[-1]]
         for fix in due:
             self._use(fix)
         self._follow_readings()
-        self._speeds.forget_before(samples.times[0] - 2.0 * self._numbers.interval)
 
     def _follow_readings(self) -> None:
         """Move the pose by the readings since the last interval."""
         if self._belief is not None:
             self._head = self._belief.pose
+            self._sensor = sensor_map(self._belief, self._filter.turn)
             for last in range(1, len(self._open.times)):
                 self._advance_head(last)
 
-    def _started(self, samples: Samples) -> Belief:
-        """Return the belief in the given pose, with the tilt that gravity shows."""
-        imu = self._imu
-        force = imu.turn @ np.mean(samples.forces, axis=0)
-        vertical = force / max(float(np.linalg.norm(force)), 1e-3)
-        belief = initial_belief(self._given.pose, imu, self._settings, self._numbers)
-        return self._placed(belief, self._given, vertical, imu.accelerometer_bias / GRAVITY)
+    def _with_rest(self, belief: Belief, samples: Samples) -> tuple[Belief, Samples]:
+        """Return whether a shell whose readings do not change is still, in the samples.
 
-    def _placed(self, belief: Belief, given: Fix, vertical: Vector, spread: float) -> Belief:
-        """Return the belief of a sphere that is put at a given pose, and note a replaced tilt."""
-        found, contradiction = placed(belief, given, vertical, spread)
-        if contradiction:
-            self.faults.see(Kind.TILT_REPLACED, given.time, contradiction)
-        return found
+        With the bias as known it may turn slowly. Where that goes on, but its tilt does not
+        change, the bias is another one, which the belief that is returned has.
+        """
+        rest, largest = self._rest, self._numbers.improbable(3)
+        means = samples._replace(still=True), rest.recent(self._numbers.rest)
+        if all(self._filter.rest_square(belief, mean) < largest for mean in means):
+            self._stood = samples.times[-1], belief
+            return belief, means[0]
+        if not rest.is_lasting(self._stood[0]):
+            return belief, samples
+        if rest.since < self._stood[0] + 3.0 * samples.duration:
+            belief = self._stood[1]  # it has rested all the time
+        found = self._filter.with_other_bias(belief, rest.recent(self._numbers.contradicted))
+        return found, means[0]
 
-    def _calibrate(self, samples: Samples, belief: Belief) -> None:
-        """Note that the sphere rests, and for how long."""
-        if self.is_calibrated:
+    def _calibrate(self, samples: Samples) -> None:
+        """Begin where the sphere has rested long enough, by the means over that rest."""
+        needed = self._settings.calibration_time
+        if needed > 0.0:
+            if self._rest.duration < needed * (1.0 - 1e-6):
+                return
+            samples, densities, scatter = self._rest.rested
+            norm = float(np.linalg.norm(samples.forces[0]))
+            if not self.faults.gravity(samples.times[-1], norm):
+                return
+            self._filter.raise_noises(*densities)
+            noise = self._filter.imu.gyro_noise / math.sqrt(self._step)
+            self._slowest = _FASTER * max(scatter, noise)
+        self._belief = self._started(samples, self._given)
+        bias, rested = self._belief.value(GYRO_BIAS), self._rest.duration
+        left = math.sqrt(float(np.trace(self._belief.covariance[GYRO_BIAS, GYRO_BIAS])) / 3.0)
+        shown = ", ".join(f"{math.degrees(one):.3f}" for one in bias)
+        self.calibration = (
+            f"gyro bias [{shown}] deg/s +- {math.degrees(left):.3f}, {rested:.1f} s at rest"
+        )
+        self._stood = samples.times[-1], self._belief
+        self.faults.bias(samples.times[-1], bias)
+        self._was_still = samples.still
+        self._follow_readings()
+
+    def _started(self, samples: Samples, given: Fix) -> Belief:
+        """Return the belief in a given pose, with the tilt that gravity shows, at their end."""
+        rate = samples.rates[0] if samples.still else np.zeros(3)
+        belief = initial_belief(
+            given.pose, self._filter.imu, self._settings, self._numbers, -self.delay, rate
+        )
+        vertical = self._filter.turn @ np.mean(samples.forces, axis=0)
+        vertical = vertical / max(float(np.linalg.norm(vertical)), 1e-3)
+        begun = given._replace(time=samples.times[-1])
+        shown, taken = (vertical, tilt_deviation(self._imu)), (vertical, _ANY_TILT)
+        belief = self._with_given(belief, begun, shown, taken)
+        return self._filter.advance(belief, samples)[0]
+
+    def _compare_tilt(self, belief: Belief) -> None:
+        """Begin anew where a lasting rest contradicts the tilt."""
+        samples = self._rest.rested.samples
+        square, between = self._filter.tilt_square(belief, samples)
+        if square < _CONTRADICTED * self._numbers.improbable(3):
             return
-        if not samples.still and self._settings.calibration_time > 0.0:
-            self._still_since = math.nan
-            return
-        if math.isnan(self._still_since):
-            self._still_since = samples.times[0]
-        rested = samples.times[-1] - self._still_since
-        if rested >= self._settings.calibration_time * (1.0 - 1e-6):
-            self.is_calibrated = True
-            bias = ", ".join(f"{math.degrees(one):.3f}" for one in belief.value(GYRO_BIAS))
-            left = math.sqrt(float(np.trace(belief.covariance[GYRO_BIAS, GYRO_BIAS])) / 3.0)
-            self.calibration = (
-                f"gyro bias [{bias}] deg/s +- {math.degrees(left):.3f}, {rested:.1f} s at rest"
-            )
+        self.faults.tilted(samples.times[-1], between)
+        # What has turned it unnoticed may have turned it about the vertical, too.
+        covariance = belief.covariance[POSE_ERROR, POSE_ERROR].copy()
+        away = between * np.array([self._filter.radius] * 2 + [0.0, 0.0, 1.0])
+        given = Fix(samples.times[-1], belief.pose, covariance + np.diag(away**2))
+        self._belief = self._started(samples, given)
+        self._history.clear()
+
+    def _placed(self, belief: Belief, given: Fix) -> Belief:
+        """Return the belief of a sphere that is put at a given pose."""
+        vertical = rotation.vertical(belief.pose[QUATERNION])
+        tilt = belief.covariance[PHI, PHI][:2, :2]
+        shown, spread = vertical, math.sqrt(float(np.trace(tilt)))
+        if self._rest.duration:
+            # What is measured, and not what is believed, which may be what has to be mended.
+            forces = np.array(self._rest.rested.samples.forces)
+            shown = self._filter.turn @ sensor_map(belief, self._filter.turn).forces(forces)[0]
+            shown = shown / max(float(np.linalg.norm(shown)), 1e-3)
+            spread = tilt_deviation(self._imu)
+        return self._with_given(belief, given, (shown, spread), (vertical, tilt))
+
+    def _with_given(
+        self, belief: Belief, given: Fix, shown: tuple[Vector, float], taken: tuple[Vector, Vector]
+    ) -> Belief:
+        """Return the belief at a given pose, whose tilt may be unknown or contradicted.
+
+        `shown` are the vertical by gravity and its deviation, `taken` are the vertical and the
+        covariance of the tilt that take the place of the given ones then.
+        """
+        told = contradiction(given, *shown)
+        if told:
+            self.faults.see(Kind.TILT_REPLACED, given.time, told)
+        if told or not has_tilt(given.covariance):
+            given = with_vertical(given, *taken)
+        return replaced(belief, given.pose, given.covariance)
 
     def _use(self, fix: Fix) -> Condition | None:
         """Use a fix at the instant of its measurement; return why it is not."""

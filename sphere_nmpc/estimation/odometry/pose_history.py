@@ -10,21 +10,17 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import POSE_ERROR, Belief, Samples, replaced
-from sphere_nmpc.model.state import Vector
-
-
-class Fix(NamedTuple):
-    """A pose that was measured elsewhere."""
-
-    time: float
-    """Time of measurement [s]."""
-    pose: Vector
-    """Position [m] and quaternion wxyz, shape (6,)."""
-    covariance: Vector
-    """Of the error in the world frame, shape (5, 5)."""
-    replaces: bool = False
-    """Whether it replaces the pose rather than being averaged with it."""
+from sphere_nmpc.estimation.odometry.placement import (
+    MOST_VARIANCE,
+    Fix,
+    has_tilt,
+    with_vertical,
+)
+from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import QUATERNION, Vector
 
 
 class _Interval(NamedTuple):
@@ -44,18 +40,14 @@ class PoseHistory:
         Filter by which intervals are repeated.
     memory : float
         Age up to which fixes are used [s].
-    improbable : float
-        Normalised square of an innovation above which a fix is left out.
-    most_outliers : int
-        Fixes in a row that are left out; the next one is believed.
+    numbers : OdometryNumbers
+        When a fix is left out, and how many are in a row before the next one is believed.
     """
 
     def __init__(
-        self, inertial_filter: InertialFilter, memory: float, improbable: float,
-        most_outliers: int,
+        self, inertial_filter: InertialFilter, memory: float, numbers: OdometryNumbers
     ) -> None:
-        self._filter, self._memory = inertial_filter, memory
-        self._improbable, self._most_outliers = improbable, most_outliers
+        self._filter, self._memory, self._numbers = inertial_filter, memory, numbers
         self._intervals: deque[_Interval] = deque()
         self._refused = 0
 
@@ -81,25 +73,29 @@ class PoseHistory:
         found = self._split(fix.time)
         interval = self._intervals[found]
         belief, samples = self._end_of(interval), interval.samples
+        rate: Vector = np.zeros((1, 3))
+        if not samples.still:
+            sensor = sensor_map(belief, self._filter.turn)
+            rate = sensor.rates(np.array(samples.rates[-1:]), np.array(samples.forces[-1:]))
         # The nearest reading is up to half a sample from it.
-        rate = self._filter.body_rates(belief, np.array(samples.rates[-1:]))[0]
-        turned = 0.0 * rate if samples.still else (samples.times[-1] - fix.time) * rate
-        pose, _ = self._filter.moved(fix.pose, turned, self._filter.rolled(belief))
-        fixed, square = self._filter.with_pose(belief, pose, fix.covariance, math.inf)
-        is_off = square > self._improbable
+        pose = self._filter.moved(
+            fix.pose, rate[[0, 0]], samples.times[-1] - fix.time, self._filter.rolled(belief)
+        )
+        fix = fix._replace(pose=pose)
+        if not has_tilt(fix.covariance):
+            vertical = rotation.vertical(belief.pose[QUATERNION])
+            fix = with_vertical(fix, vertical, MOST_VARIANCE[1] * np.eye(2))
+        fixed, square = self._filter.with_pose(belief, fix.pose, fix.covariance, math.inf)
+        is_off = square > self._numbers.improbable(5)
         # Several in a row agree with each other rather than with the filter.
-        if is_off and self._refused < self._most_outliers:
+        most = self._numbers.most_outliers
+        if is_off and self._refused < most:
             self._refused += 1
-            spread = fix.covariance + belief.covariance[POSE_ERROR, POSE_ERROR]
-            return (
-                f"given a position {math.dist(pose[:2], belief.pose[:2]):.3g} m from that "
-                f"estimated, expected some {math.sqrt(float(np.trace(spread[:2, :2]))):.2g} m; "
-                f"after {self._most_outliers} of them in a row the next one is believed"
-            )
+            return f"{_differing(fix, belief)}; after {most} in a row the next one is believed"
         self._refused = 0
-        more = fix._replace(pose=pose, replaces=is_off)
+        more = fix._replace(replaces=is_off)
         self._intervals[found] = interval._replace(fixes=(*interval.fixes, more))
-        belief = replaced(belief, pose, fix.covariance) if is_off else fixed
+        belief = replaced(belief, fix.pose, fix.covariance) if is_off else fixed
         for k in range(found + 1, len(self._intervals)):
             self._intervals[k] = self._intervals[k]._replace(start=belief)
             belief = self._end_of(self._intervals[k])
@@ -131,3 +127,18 @@ class PoseHistory:
         self._intervals[k] = _Interval(start, first)
         self._intervals.insert(k + 1, _Interval(belief, second, fixes))
         return k
+
+
+def _differing(fix: Fix, belief: Belief) -> str:
+    """Return in what a fix differs the most from what is estimated, and what was expected."""
+    spread = fix.covariance + belief.covariance[POSE_ERROR, POSE_ERROR]
+    turn = rotation.product(fix.pose[QUATERNION], rotation.conjugate(belief.pose[QUATERNION]))
+    away = math.dist(fix.pose[:2], belief.pose[:2])
+    turned = float(np.linalg.norm(rotation.logarithm(turn)))
+    place, angle = (math.sqrt(float(np.trace(part))) for part in (spread[:2, :2], spread[2:, 2:]))
+    if away / place >= turned / angle:
+        return f"given a position {away:.3g} m from that estimated, expected some {place:.2g} m"
+    return (
+        f"given an orientation {math.degrees(turned):.3g} deg from that estimated, expected some "
+        f"{math.degrees(angle):.2g} deg"
+    )

@@ -55,6 +55,14 @@ class RotorSpeeds:
         """Return whether there are speeds up to a time [s]."""
         return bool(self.times) and self.times[-1] >= time
 
+    def cover(self, end: float, step: float, late: float) -> bool:
+        """Return whether there are speeds for an interval that ends at a time [s].
+
+        They are needed up to a reading further, as the acceleration is that of the speeds before
+        and after; `step` is the time between two readings [s], by a tenth of which stamps vary.
+        """
+        return self.reach(end + late + 0.9 * step)
+
     def added_to(self, samples: Samples, late: float) -> Samples:
         """Return an interval with the speeds, whose stamps are `late` [s], where they are known.
 
@@ -63,10 +71,9 @@ class RotorSpeeds:
         times, step = samples.times, samples.step
         wanted = np.array([times[0] - step, *times, times[-1] + step]) + late
         first = max(0, bisect_right(self.times, times[0] + late) - 1)
-        last = bisect_left(self.times, wanted[-1] - 0.1 * step)
-        stamps = self.times[first : last + 1]
+        stamps = self.times[first : bisect_left(self.times, wanted[-1]) + 1]
         is_known = (
-            last < len(self.times) and stamps[0] <= times[0] + late
+            self.cover(times[-1], step, late) and stamps[0] <= times[0] + late
             and max(np.diff(stamps), default=0.0) < self._longest_gap
         )
         if not is_known:

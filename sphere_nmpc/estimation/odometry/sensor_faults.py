@@ -11,6 +11,7 @@ from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.inertial_filter import SATURATED
 from sphere_nmpc.estimation.odometry.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import Vector
 
 _REPEATED = 3
@@ -19,6 +20,17 @@ _CONTRADICTIONS = 8
 """Intervals in which the shell turns otherwise than by the rotors: a push takes some."""
 _SIGNIFICANT = 4.0
 """Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
+_LARGE = 6.0
+"""Standard deviations [-] by which a force or a bias at rest may differ from what is expected."""
+_CONVENTIONS = (
+    (0.5, "; gravity has been removed"), (2.0, "; it is given in g"),
+)
+"""What a force below a norm [m/s^2] means."""
+_LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
+"""Kinds that last until a pose is given, as the position is not known."""
+_LASTING = _LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
+_LOST_BY = 0.1
+"""Angle by which the shell has turned unnoticed at which it has been moved as well [rad]."""
 _LATE = 5e-3
 """Offset of stamps that is told [s]: at full acceleration the rotors change by 2 rad/s in it."""
 
@@ -47,16 +59,53 @@ class SensorFaults:
         """Note a condition at control time `time` [s]."""
         self._seen[kind] = time, text
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the position is not known until a pose is given."""
+        return not _LOST.isdisjoint(self._seen)
+
     def forget_before(self, time: float) -> None:
-        """Forget what was last seen before a time [s], but not that the position is unknown."""
+        """Forget what was last seen before a time [s], but what lasts until a pose is given."""
         self._seen = {
-            kind: seen for kind, seen in self._seen.items()
-            if seen[0] >= time or kind is Kind.LIFTED
+            kind: seen for kind, seen in self._seen.items() if seen[0] >= time or kind in _LASTING
         }
 
     def placed(self) -> None:
         """Note that the position is known again."""
-        self._seen.pop(Kind.LIFTED, None)
+        for kind in _LOST | {Kind.TILT_REPLACED}:
+            self._seen.pop(kind, None)
+
+    def gravity(self, time: float, norm: float) -> bool:
+        """Return whether the norm of a specific force at rest [m/s^2] is that of gravity."""
+        imu, shown = self._imu, ""
+        spread = math.hypot(imu.accelerometer_bias, GRAVITY * imu.accelerometer_scale)
+        if abs(norm - GRAVITY) > max(_LARGE * spread, 0.1 * GRAVITY):
+            shown = next((text for most, text in _CONVENTIONS if norm < most), "")
+            self.see(
+                Kind.NO_GRAVITY, time,
+                f"given a specific force of {norm:.3g} m/s^2 at rest, expected {GRAVITY:.2f} "
+                f"opposite to gravity{shown}",
+            )
+            return False
+        self._seen.pop(Kind.NO_GRAVITY, None)
+        return True
+
+    def bias(self, time: float, bias: Vector) -> None:
+        """Take a bias of the gyro [rad/s], shape (3,)."""
+        largest = float(np.max(np.abs(bias)))
+        if largest > _LARGE * self._imu.gyro_bias:
+            self.see(
+                Kind.LARGE_BIAS, time,
+                f"given {largest:.2g} rad/s, expected some imu.gyro_bias = "
+                f"{self._imu.gyro_bias:.2g} rad/s; or are readings in deg/s?",
+            )
+
+    def tilted(self, time: float, angle: float) -> None:
+        """Note that gravity shows a vertical that is another one by an angle [rad]."""
+        shown = f"given a vertical that is {math.degrees(angle):.1f} deg from that estimated"
+        self.see(Kind.TILT_REPLACED, time, f"{shown}, at rest; that of the accelerometer is taken")
+        if angle > _LOST_BY:
+            self.see(Kind.POSITION_UNKNOWN, time, f"{shown}; pose_fix or initialpose tells it")
 
     def reading(self, time: float, rate: Vector, force: Vector) -> bool:
         """Return whether a reading of the IMU can be believed."""
@@ -96,8 +145,10 @@ class SensorFaults:
             )
         return was_stuck or self.are_encoders_stuck
 
-    def interval(self, samples: Samples, findings: Findings, belief: Belief) -> None:
-        """Take what an interval has shown."""
+    def interval(
+        self, samples: Samples, findings: Findings, belief: Belief, delay: float
+    ) -> None:
+        """Take what an interval has shown; `delay` is the expected one of the IMU [s]."""
         time, numbers = samples.times[-1], self._numbers
         self._is_moving = samples.speeds is not None and not samples.still
         if self._equal >= _REPEATED and not samples.usable:
@@ -107,12 +158,13 @@ class SensorFaults:
                 "noise; the rotors tell how it turns meanwhile",
             )
         jump = findings.jump
-        if findings.force > numbers.improbable:
-            if abs(belief.unexplained[2]) > numbers.lift:
+        largest = numbers.improbable(3)
+        if findings.force > largest:
+            if numbers.is_lifted(belief.height, belief.slipping):
                 self.see(
                     Kind.LIFTED, time,
-                    f"given a vertical velocity of {belief.unexplained[2]:+.2f} m/s; the position "
-                    "is not known until pose_fix or initialpose tells it",
+                    f"given a vertical way of {belief.height:+.2f} m; the position is not known "
+                    "until pose_fix or initialpose tells it",
                 )
             else:
                 self.see(
@@ -120,9 +172,9 @@ class SensorFaults:
                     f"given a change of velocity by {math.hypot(jump[0], jump[1]):.2g} m/s that "
                     "rolling does not explain; the position is less certain",
                 )
-        elif findings.rate > numbers.improbable:
+        elif findings.rate > largest:
             self._contradictions, self._contradicted_at = self._contradictions + 1, time
-        offset, spread = belief.late, belief.deviation(slice(OFFSET, OFFSET + 1))
+        offset, spread = belief.late + delay, belief.deviation(slice(OFFSET, OFFSET + 1))
         is_late = abs(offset) > max(_LATE, _SIGNIFICANT * spread)
         # Speeds that come late look like a push until they have come.
         if self._may_be_pushed and not is_late:
@@ -130,7 +182,7 @@ class SensorFaults:
                 Kind.PUSHED, time,
                 "given an angular velocity that the rotors do not explain, with a momentum",
             )
-        self._may_be_pushed = findings.rate > numbers.improbable
+        self._may_be_pushed = findings.rate > largest
         is_disturbed = Kind.PUSHED in self._seen or Kind.SLIPPED in self._seen
         self._late = self._late + 1 if is_late and not is_disturbed else 0
         if self._late >= _CONTRADICTIONS:

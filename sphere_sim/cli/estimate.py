@@ -1,0 +1,212 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``sphere_nmpc estimate``: the odometry on a recorded bag, and a test of the sensors at rest."""
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.mounting import mounting
+from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.ros.cdr import BODY_FRAME
+from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings
+from sphere_sim.evaluation.followed_odometry import FollowedOdometry, deviations, estimate_table
+from sphere_sim.evaluation.metrics import estimate_errors
+from sphere_sim.evaluation.sensor_check import FAIL, WARN, Sensor, check_sensors
+from sphere_sim.output.arguments import number
+from sphere_sim.output.files import prepare_folder, printable
+from sphere_sim.output.round_numbers import length
+from sphere_sim.recording.bag_files import BagError
+from sphere_sim.recording.node_parameters import (
+    bag_parameters,
+    file_parameters,
+    with_parameters,
+)
+from sphere_sim.recording.run import without_sign_jumps
+from sphere_sim.recording.sensor_bag import SensorBag, feed, read_sensor_bag
+
+_NODE, _ROS = "odometry", "--ros-args"
+_TESTS = 2.0, 600.0
+"""Least and largest duration of a test [s]."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the poses and return 0; with ``--self-test`` return 1 where a check fails."""
+    given = parse(sys.argv[1:] if arguments is None else arguments)
+    texts: dict[str, str] = {}
+    if given.bag is None:
+        from sphere_sim.ros.session.sensor_listener import listen
+
+        if given.params_file is not None:
+            texts = file_parameters(given.params_file, f"/{_NODE}")
+        print(f"the robot has to stand still for {given.self_test:g} s", flush=True)
+        return _test(listen(given.self_test, given.ros), texts, "")
+    bag = read_sensor_bag(given.bag, given.imu, given.pose_topic)
+    node = f"{bag.namespace}/{_NODE}"
+    texts = bag_parameters(bag.messages.custom_data, node)
+    if given.params_file is not None:
+        texts |= file_parameters(given.params_file, node)
+    if given.self_test is None:
+        return _estimate(bag, texts, given.out)
+    end = bag.of(bag.imu)[0][0] + round(given.self_test * NANOSECONDS)
+    roles = {"imu": bag.imu, "joint_states": bag.joints, "pose": bag.reference}
+    return _test({
+        role: [entry for entry in bag.of(topic) if entry[0] <= end]
+        for role, topic in roles.items() if topic
+    }, texts, bag.namespace)
+
+
+def _test(
+    seen: Mapping[str, list[tuple[int, Any]]], texts: Mapping[str, str], namespace: str
+) -> int:
+    """Print the checks of what was received by role, and the result; return 1 if one fails."""
+    readings = seen.get("imu", [])
+    imu = _imu_settings(texts, readings[0][1].frame if readings else "", namespace)
+    joints, pose = None, None
+    if "joint_states" in seen:
+        rotors = [(at, one) for at, one in seen["joint_states"] if one.of_rotors() is not None]
+        joints = Sensor.of(rotors, lambda one: one.of_rotors()[:2].ravel())
+    if seen.get("pose"):
+        pose = Sensor.of(seen["pose"], lambda one: one.state)
+    found = check_sensors(
+        Sensor.of(readings, lambda one: (*one.rate, *one.force)), joints, pose, imu
+    )
+    for one in found:
+        print(f"{one.verdict}  {one.name:<20} {one.text}")
+    failed, warned = ([one.name for one in found if one.verdict == kind] for kind in (FAIL, WARN))
+    result = f"FAIL: {', '.join(failed)}" if failed else "PASS"
+    print(f"{result}; {counted(len(found), 'check')}, {counted(len(warned), 'warning')}")
+    return int(bool(failed))
+
+
+def _imu_settings(texts: Mapping[str, str], frame: str, namespace: str) -> ImuSettings:
+    """Return those of an IMU, mounted where a description of the robot has its frame."""
+    imu = with_parameters(ImuSettings(), texts, "imu.")
+    node = with_parameters(OdometryNodeSettings(), texts)
+    if not node.robot_description:
+        return imu
+    prefix = node.frame_prefix or f"{namespace.strip('/')}/".lstrip("/")
+    place, turn = mounting(node.robot_description, frame.removeprefix(prefix), BODY_FRAME)
+    return replace(imu, position=tuple(place.tolist()), orientation=tuple(turn.tolist()))
+
+
+def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
+    """Write table and figure of the poses of a bag, and print what is found; return 0."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from sphere_sim.report.figures.estimate import estimated_poses
+    from sphere_sim.report.figures.style import save
+    from sphere_sim.report.reported import write_csv
+    from sphere_sim.study.progress import shown as visible
+
+    prepare_folder(out.parent)
+    imu = _imu_settings(texts, bag.of(bag.imu)[0][1].frame, bag.namespace)
+    settings = with_parameters(OdometryNodeSettings(), texts)
+    frame = with_parameters(FrameSettings(), texts).world_frame
+    events, times, states = bag.events()
+    if "initial_state" not in texts and len(times):
+        settings = replace(settings, initial_state=tuple(states[0].tolist()))
+        bag.messages.notes.append(f"initial_state is the first pose of {bag.reference}")
+    robot = with_parameters(RobotParameters(), texts, "robot.")
+    followed = FollowedOdometry(Odometry(settings, imu, robot))
+    with visible(Progress(console=Console(stderr=True), transient=True)) as progress:
+        refused = feed(progress.track(events, description="odometry"), followed, frame)
+    bag.messages.notes += [
+        f"{topic}: {len(why)} messages were refused; {why[0]}" for topic, why in refused.items()
+    ]
+    for note in bag.messages.notes:
+        print(printable_line(f"estimate: {note}"), file=sys.stderr)
+    if not followed.estimates:
+        why = "; ".join(map(str, followed.odometry.conditions)) or "no reading was used"
+        raise BagError(bag.messages.path, f"no pose in {events[-1][0]:.1f} s: {why}")
+    table = estimate_table(followed.estimates)
+    write_csv(table, out)
+    references = {bag.reference: (times, states), **bag.fixes(events)}
+    compared = {
+        name: (at, poses, _errors(at, poses, table)) for name, (at, poses) in references.items()
+        if len(at)
+    }
+    for line in _report(followed, table, compared):
+        print(line)
+    save(estimated_poses(followed.estimates, table, compared), out.parent, out.stem)
+    print(f"poses in {printable(out)}, figure in {printable(out.with_suffix('.svg'))}")
+    return 0
+
+
+def _errors(times: Vector, poses: Vector, table: Mapping[str, Vector]) -> Vector:
+    """Return distance [m] and angle about the vertical [rad] of estimates from poses, (n, 2)."""
+    columns = list(table.values())
+    estimated = without_sign_jumps(np.column_stack(columns[1:7]))
+    return estimate_errors(times, poses, columns[0], estimated)
+
+
+def _report(
+    followed: FollowedOdometry, table: Mapping[str, Vector],
+    compared: Mapping[str, tuple[Vector, Vector, Vector]],
+) -> Iterator[str]:
+    """Yield lines on way, deviations, errors and conditions."""
+    odometry, times = followed.odometry, table["time_s"]
+    way = float(np.sum(np.hypot(np.diff(table["x"]), np.diff(table["y"]))))
+    place, heading, tilt = deviations(followed.estimates[-1])
+    yield (f"{counted(len(times), 'pose')} from {times[0]:.2f} to {times[-1]:.2f} s, way "
+           f"{way:.3f} m; {odometry.calibration}")
+    yield (f"deviation at the end {length(place)}, heading {math.degrees(heading):.2g} deg, tilt "
+           f"{math.degrees(tilt):.2g} deg")
+    for name, (_, _, errors) in compared.items():
+        known = errors[np.isfinite(errors[:, 0])]
+        if not len(known):
+            continue
+        rms, turned = np.sqrt(np.mean(known**2, axis=0)).tolist()
+        end, aside = np.abs(known[-1]).tolist()
+        yield (f"from {name}: {length(rms)} rms{_share(rms, way)}, {length(end)} at the end; "
+               f"heading {math.degrees(turned):.2g} deg rms, {math.degrees(aside):.2g} at the end")
+    if odometry.fixes_used or odometry.fixes_left_out:
+        yield f"fixes: {odometry.fixes_used} used, {odometry.fixes_left_out} left out"
+    for one in followed.spells:
+        yield f"{one.begin:8.2f} to {one.end:.2f} s: {one.condition}"
+
+
+def _share(error: float, way: float) -> str:
+    return f" ({100.0 * error / way:.2g} % of the way)" if way > 0.1 else ""
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the arguments; those of ROS as `ros`."""
+    parser = argparse.ArgumentParser(
+        prog="sphere_nmpc estimate",
+        description="Estimate the poses of a recorded robot from its IMU and encoders, or test "
+        "the sensors of one that stands still: a live one by its topics, or a recorded one.",
+        epilog="ROS arguments follow --ros-args, for example: --ros-args -r imu:=/imu/data",
+    )
+    parser.add_argument("bag", nargs="?", type=Path, metavar="BAG",
+                        help="folder of a bag, or a .mcap or .db3 file, also with suffix .zstd")
+    parser.add_argument("--out", type=Path, metavar="FILE.csv",
+                        help="table of the poses; its figure is beside it")
+    parser.add_argument("--self-test", type=number(*_TESTS), metavar="SECONDS",
+                        help="test the sensors for so long, of a bag at its start")
+    parser.add_argument("--params-file", type=Path, metavar="FILE.yaml",
+                        help="parameters of the node odometry (default: as recorded)")
+    parser.add_argument("--imu", metavar="TOPIC", help="IMU, if a bag has several")
+    parser.add_argument("--pose-topic", metavar="TOPIC",
+                        help="poses to compare with (default: ground_truth/pose, or pose)")
+    words = list(arguments)
+    at = words.index(_ROS) if _ROS in words else len(words)
+    given = parser.parse_args(words[:at])
+    given.ros = words[at:]
+    if given.bag is None and given.self_test is None:
+        parser.error("argument BAG: given none, expected a bag, or --self-test")
+    if given.bag is not None and given.self_test is None and given.out is None:
+        parser.error("argument --out: given none, expected a .csv file")
+    return given

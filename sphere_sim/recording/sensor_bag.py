@@ -1,0 +1,202 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Bag with what an odometry gets: readings of an IMU and of encoders, poses measured elsewhere."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidValueError
+from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
+from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
+from sphere_sim.evaluation.followed_odometry import FollowedOdometry
+from sphere_sim.recording.bag_clock import BagClock
+from sphere_sim.recording.bag_files import BagError, full_topic_name
+from sphere_sim.recording.message_fields import TRUE_POSE
+from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.poses import read_series
+from sphere_sim.recording.run import without_sign_jumps
+
+FIX, PLACED = "pose_fix", "initialpose"
+"""Last parts of the topics of poses that were measured elsewhere, or given."""
+Event = tuple[float, str, Any]
+"""Time since the first reading of the IMU [s], topic and record of a message."""
+_KINDS = {TYPES[kind] for kind in (Imu, Joints, Pose, UncertainPose)}
+_CHECK_EVERY = 0.25
+"""Time between two checks of the sensors, as the node makes them [s]."""
+_FEWEST = 2
+"""Readings below which there is no rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorBag:
+    """Messages of one robot in a bag, by their roles.
+
+    Attributes
+    ----------
+    messages : Messages
+        All of them, with their notes.
+    imu, joints, reference : str
+        Topics; the last two are empty where there are none.
+    """
+
+    messages: Messages
+    imu: str
+    joints: str
+    reference: str
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of the robot, without a slash at its end."""
+        return (self.joints or self.imu).rpartition("/")[0]
+
+    def of(self, topic: str) -> list[tuple[int, Any]]:
+        """Return log times [ns] and records of a topic, in their order."""
+        return self.messages.decoded.get(topic, [])
+
+    def events(self) -> tuple[list[Event], Vector, Vector]:
+        """Return what an odometry gets, in the order in which it was logged.
+
+        Besides times [s] and states, shape (n, 6), of the reference. Times are those of the
+        stamps, or of the log where these cannot be used.
+        """
+        readings = self.of(self.imu)
+        numbers: Vector = np.array([(*it.rate, *it.force) for _, it in readings])
+        valid = np.all(np.isfinite(numbers), axis=1, keepdims=True)[:, 0]
+        if np.count_nonzero(valid) < _FEWEST:
+            raise BagError(
+                self.messages.path, f"{self.imu} has {np.count_nonzero(valid)} finite readings, "
+                f"expected {_FEWEST} or more",
+            )
+        kept, stamps = read_series(self.messages, self.imu, numbers, valid, "readings")
+        clock = BagClock([readings[i][0] for i in kept], stamps)
+        found = [(readings[i][0], clock.time_of_stamp(stamp), self.imu, readings[i][1])
+                 for i, stamp in zip(kept, stamps, strict=True)]
+        poses = [[it for it in self.messages.decoded if _last(it) == kind]
+                 for kind in (FIX, PLACED)]
+        others = [self.joints, *(_nearest(self.imu, topics) for topics in poses)]
+        for topic in filter(None, others):
+            times = self._times(clock, topic)
+            found += [(log, time, topic, record) for time, (log, record)
+                      in zip(times, self.of(topic), strict=True)]
+        found.sort(key=lambda event: event[0])
+        seen = [record.state for _, record in self.of(self.reference)]
+        states: Vector = np.array(seen, dtype=float).reshape(-1, POSE_SIZE)
+        times, first = np.unique(self._times(clock, self.reference), return_index=True)
+        usable = are_states(states[first])
+        states = without_sign_jumps(states[first][usable])
+        return [event[1:] for event in found], times[usable], states
+
+    def fixes(self, events: Iterable[Event]) -> dict[str, tuple[Vector, Vector]]:
+        """Return times [s] and states, shape (n, 6), of the poses measured elsewhere, by topic."""
+        found: dict[str, list[tuple[float, ...]]] = {}
+        for time, topic, record in events:
+            if _last(topic) == FIX:
+                x, y, _, qx, qy, qz, qw = record.numbers[:7]
+                found.setdefault(topic, []).append((time, x, y, qw, qx, qy, qz))
+        rows = {topic: np.array(sorted(given)) for topic, given in found.items()}
+        rows = {topic: row[are_states(row[:, 1:])] for topic, row in rows.items()}
+        return {topic: (row[:, 0], row[:, 1:]) for topic, row in rows.items()}
+
+    def _times(self, clock: BagClock, topic: str) -> Vector:
+        """Return the times of messages [s]; a note says whose stamps cannot be used."""
+        found = [clock.time_of_message(record.stamp, log) for log, record in self.of(topic)]
+        undated = sum(
+            time != clock.time_of_stamp(record.stamp)
+            for time, (_, record) in zip(found, self.of(topic), strict=True)
+        )
+        if undated and _last(topic) != PLACED:
+            self.messages.notes.append(
+                f"{topic}: {undated} stamps are not of the clock of the IMU; the log times are "
+                "used"
+            )
+        return np.array(found)
+
+
+def read_sensor_bag(
+    path: Path, imu: str | None = None, pose_topic: str | None = None
+) -> SensorBag:
+    """Read a bag with one IMU, or with several of which one is given by its topic.
+
+    Poses are compared with those of `pose_topic`, by default with ``ground_truth/pose`` or
+    ``pose`` of the robot. `BagError` is raised where there is no such topic.
+    """
+    messages = read_messages(path, lambda _, kind: kind in _KINDS)
+    imus = [topic for topic in _of_type(messages, Imu) if topic in messages.decoded]
+    if imu is not None:
+        imu = full_topic_name(imu)
+    elif len(imus) > 1:
+        raise BagError(path, f"has several IMUs, choose one with --imu: {', '.join(imus)}")
+    if imu not in (imus if imu is not None else [None]) or not imus:
+        others = ", ".join(sorted(messages.types)) or "none"
+        missing = f"no message of type {TYPES[Imu]}" + (f" on {imu}" if imu is not None else "")
+        if messages.truncated:
+            missing = messages.incomplete(missing)
+        raise BagError(path, f"{missing}; IMUs: {', '.join(imus) or 'none'}; topics: {others}")
+    imu = imu or imus[0]
+    named = {topic: messages.decoded[topic] for topic in _of_type(messages, Joints)
+             if topic in messages.decoded}
+    rotors = [topic for topic, entries in named.items()
+              if any(set(JOINT_NAMES) <= set(record.names) for _, record in entries)]
+    if named and not rotors:
+        messages.notes.append(f"no joint states name {' and '.join(JOINT_NAMES)}")
+    poses = [topic for topic in _of_type(messages, Pose) if topic in messages.decoded]
+    if pose_topic is not None and (pose_topic := full_topic_name(pose_topic)) not in poses:
+        raise BagError(path, f"no poses on {pose_topic}; it has: {', '.join(poses) or 'none'}")
+    own = [topic for topic in poses if topic.endswith(f"/{TRUE_POSE}")]
+    own = own or [topic for topic in poses if _last(topic) == "pose"]
+    return SensorBag(
+        messages, imu, _nearest(imu, rotors), pose_topic or _nearest(imu, own)
+    )
+
+
+def feed(
+    events: Iterable[Event], followed: FollowedOdometry, frame: str
+) -> dict[str, list[str]]:
+    """Pass events to an odometry as its node does; return why messages are refused, by topic."""
+    odometry, refused, checked = followed.odometry, dict[str, list[str]](), 0.0
+    for time, topic, record in events:
+        try:
+            is_new = isinstance(record, Imu)
+            if isinstance(record, Imu):
+                record.check_measured()
+                odometry.observe_imu(time, np.array(record.rate), np.array(record.force))
+            elif isinstance(record, Joints):
+                if (rotors := record.of_rotors()) is not None:
+                    angles, speeds, _ = rotors
+                    known = angles if np.isfinite(angles).all() else None
+                    is_new = odometry.observe_rotors(time, speeds, known)
+            elif _last(topic) == FIX:
+                odometry.correct(time, *record.in_frame(frame))
+            else:  # the stamp of who gives it is that of another clock
+                estimate = odometry.estimate
+                now = time if estimate is None else estimate.time
+                odometry.set_pose(now, *record.in_frame(frame))
+            if is_new:
+                if time > checked + _CHECK_EVERY:
+                    odometry.check(time)
+                    checked = time
+                followed.read(time)
+        except InvalidValueError as error:
+            refused.setdefault(topic, []).append(str(error))
+    return refused
+
+
+def _of_type(messages: Messages, record: Any) -> list[str]:
+    return sorted(topic for topic, kind in messages.types.items() if kind == TYPES[record])
+
+
+def _nearest(topic: str, others: Sequence[str]) -> str:
+    """Return the topic that shares most of its namespace with another one; empty without any."""
+    def shared(other: str) -> int:
+        pairs = zip(topic.split("/")[:-1], other.split("/")[:-1], strict=False)
+        return next((i for i, (a, b) in enumerate(pairs) if a != b), topic.count("/"))
+
+    return max(others, key=shared, default="")
+
+
+def _last(topic: str) -> str:
+    return topic.rpartition("/")[2]

@@ -12,18 +12,19 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.mounting import mounting
 from sphere_nmpc.estimation.odometry import Odometry
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS, counted
-from sphere_nmpc.ros.cdr import BODY_FRAME
+from sphere_nmpc.ros.cdr import BODY_FRAME, JOINT_NAMES
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry, deviations, estimate_table
 from sphere_sim.evaluation.metrics import estimate_errors
-from sphere_sim.evaluation.sensor_check import FAIL, WARN, Sensor, check_sensors
+from sphere_sim.evaluation.sensor_check import FAIL, WARN, Finding, Sensor, check_sensors
 from sphere_sim.output.arguments import number
 from sphere_sim.output.files import prepare_folder, printable
 from sphere_sim.output.round_numbers import length
@@ -73,13 +74,22 @@ def _test(
     """Print the checks of what was received by role, and the result; return 1 if one fails."""
     readings = seen.get("imu", [])
     imu = _imu_settings(texts, readings[0][1].frame if readings else "", namespace)
-    joints, pose = None, None
+    joints, pose, found = None, None, list[Finding]()
     if "joint_states" in seen:
+        others = [one.names for _, one in seen["joint_states"] if one.of_rotors() is None]
         rotors = [(at, one) for at, one in seen["joint_states"] if one.of_rotors() is not None]
         joints = Sensor.of(rotors, lambda one: one.of_rotors()[:2].ravel())
+        if others and not rotors:
+            text = f"given {shown(others[0])}, expected {' and '.join(JOINT_NAMES)}"
+            found.append(Finding(FAIL, "joint_states names", text))
     if seen.get("pose"):
         pose = Sensor.of(seen["pose"], lambda one: one.state)
-    found = check_sensors(
+    try:
+        for _, reading in readings[:1]:
+            reading.check_measured()
+    except InvalidInputError as error:
+        found.append(Finding(FAIL, "imu readings", str(error)))
+    found += check_sensors(
         Sensor.of(readings, lambda one: (*one.rate, *one.force)), joints, pose, imu
     )
     for one in found:
@@ -121,8 +131,10 @@ def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
         bag.messages.notes.append(f"initial_state is the first pose of {bag.reference}")
     robot = with_parameters(RobotParameters(), texts, "robot.")
     followed = FollowedOdometry(Odometry(settings, imu, robot))
-    with visible(Progress(console=Console(stderr=True), transient=True)) as progress:
-        refused = feed(progress.track(events, description="odometry"), followed, frame)
+    console = Console(stderr=True)
+    bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+    with visible(bar):
+        refused = feed(bar.track(events, description="odometry"), followed, frame)
     bag.messages.notes += [
         f"{topic}: {len(why)} messages were refused; {why[0]}" for topic, why in refused.items()
     ]

@@ -116,7 +116,8 @@ def _stream(name: str, sensor: Sensor, least: float) -> Iterator[Finding]:
     rate = (number - 1) / spans[0] if number > 1 and spans[0] > 0.0 else math.nan
     enough = f"{least:g} Hz or more"
     if number < _FEWEST:
-        yield Finding(FAIL, f"{name} rate", f"given {number} messages, expected {enough}")
+        yield Finding(FAIL, f"{name} rate", f"given {number} messages, expected {enough}: start "
+                      f"its driver, or -r {name}:=/its/topic")
         return
     slow = rate < 0.95 * least
     text = f"given {rate:.4g} Hz, expected {enough}" if slow else f"{rate:.4g} Hz"
@@ -146,7 +147,7 @@ def _stream(name: str, sensor: Sensor, least: float) -> Iterator[Finding]:
         uneven = scatter > _IRREGULAR * typical or longest > _GAP * typical
         yield Finding(
             WARN if uneven else PASS, name,
-            f"{1e3 * age:.1f} ms old, steps of {1e3 * typical:.3g} +- {1e3 * scatter:.2g} ms, "
+            f"{1e3 * age:.1f} ms old, steps of {1e3 * typical:.3g} +- {1e3 * scatter:.2f} ms, "
             f"longest {1e3 * longest:.3g} ms" + (", expected even ones" if uneven else ""),
         )
 

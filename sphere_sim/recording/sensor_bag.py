@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidValueError
+from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
+from sphere_nmpc.quantity import counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
 from sphere_sim.recording.bag_clock import BagClock
@@ -66,11 +67,9 @@ class SensorBag:
         readings = self.of(self.imu)
         numbers: Vector = np.array([(*it.rate, *it.force) for _, it in readings])
         valid = np.all(np.isfinite(numbers), axis=1, keepdims=True)[:, 0]
-        if np.count_nonzero(valid) < _FEWEST:
-            raise BagError(
-                self.messages.path, f"{self.imu} has {np.count_nonzero(valid)} finite readings, "
-                f"expected {_FEWEST} or more",
-            )
+        if (count := int(np.count_nonzero(valid))) < _FEWEST:
+            reason = f"{self.imu} has {counted(count, 'finite reading')}, expected more"
+            raise BagError(self.messages.path, reason)
         kept, stamps = read_series(self.messages, self.imu, numbers, valid, "readings")
         clock = BagClock([readings[i][0] for i in kept], stamps)
         found = [(readings[i][0], clock.time_of_stamp(stamp), self.imu, readings[i][1])
@@ -126,17 +125,19 @@ def read_sensor_bag(
     """
     messages = read_messages(path, lambda _, kind: kind in _KINDS)
     imus = [topic for topic in _of_type(messages, Imu) if topic in messages.decoded]
-    if imu is not None:
-        imu = full_topic_name(imu)
-    elif len(imus) > 1:
+    if imu is None and len(imus) > 1:
         raise BagError(path, f"has several IMUs, choose one with --imu: {', '.join(imus)}")
-    if imu not in (imus if imu is not None else [None]) or not imus:
-        others = ", ".join(sorted(messages.types)) or "none"
-        missing = f"no message of type {TYPES[Imu]}" + (f" on {imu}" if imu is not None else "")
-        if messages.truncated:
-            missing = messages.incomplete(missing)
-        raise BagError(path, f"{missing}; IMUs: {', '.join(imus) or 'none'}; topics: {others}")
-    imu = imu or imus[0]
+    wanted = imus if imu is None else [full_topic_name(imu)]
+    if not imus or wanted[0] not in imus:
+        others = imus or sorted(messages.types)
+        missing = f"no message of type {TYPES[Imu]}{'' if imu is None else f' on {wanted[0]}'}"
+        missing = messages.incomplete(missing) if messages.truncated else missing
+        raise BagError(path, f"{missing}; it has: {', '.join(others) or 'no topic'}")
+    (imu, *_) = wanted
+    try:
+        messages.decoded[imu][0][1].check_measured()
+    except InvalidInputError as error:
+        raise BagError(path, f"{imu}: {error}") from None
     named = {topic: messages.decoded[topic] for topic in _of_type(messages, Joints)
              if topic in messages.decoded}
     rotors = [topic for topic, entries in named.items()

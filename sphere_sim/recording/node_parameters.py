@@ -25,6 +25,7 @@ _WILD = {"**": "(/[^/]+)*", "*": "/[^/]+"}
 def file_parameters(path: Path, node: str) -> dict[str, str]:
     """Return the texts of the parameters that a file has for a node, of a full name, by name.
 
+    As for the node, the last section that has one counts, however many wildcards its name has.
     `InvalidFileError` is raised where it has none for that node.
     """
     try:
@@ -63,7 +64,8 @@ def with_parameters(default: S, texts: Mapping[str, str], prefix: str = "") -> S
 
 def _sections(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """Yield names of nodes and their parameters; names may be in names, as in namespaces."""
-    for key, value in content.items() if isinstance(content, dict) else ():
+    # `yaml_texts` has the last one first.
+    for key, value in reversed(content.items()) if isinstance(content, dict) else ():
         if key == _KEY:
             yield name, value
         else:

@@ -3,7 +3,7 @@
 """The odometry on a recorded bag, and the test of the sensors of a recorded robot."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,13 @@ from sphere_nmpc.ros.cdr import Imu, Joints, Pose
 from sphere_sim.cli.main import main
 from sphere_sim.evaluation.metrics import estimate_errors
 
-NEAR = 0.01
-"""Error of the position after some metres [m]: some parts in a thousand of the way."""
+NEAR = 0.005
+"""Error of the position after a metre [m]: some parts in a thousand of the way."""
 
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    return random_run(3, 10.0)
+    return random_run(3, 5.0)
 
 
 @pytest.fixture
@@ -32,7 +32,9 @@ def parameters(tmp_path) -> Path:
     return file
 
 
-def estimate(folder: Path, entries: Iterable[Entry], *words: str, custom={}) -> tuple[int, Path]:
+def estimate(
+    folder: Path, entries: Iterable[Entry], *words: str, custom: Mapping[str, str] = {}
+) -> tuple[int, Path]:
     """Return exit code and table of the command for a bag of these messages."""
     bag, out = write_sensors(folder / "bag", entries, custom), folder / "poses.csv"
     return main(["estimate", str(bag), "--out", str(out), *words]), out
@@ -57,7 +59,7 @@ def test_poses_of_a_bag_are_near_the_true_ones_with_table_figure_and_report(
     header, *rows = out.read_text().splitlines()
     assert header == "time_s,x,y,qw,qx,qy,qz,position_deviation_m,heading_deviation_rad," \
         "tilt_deviation_rad"
-    assert len(rows) > 900 and all((tmp_path / f"poses.{kind}").stat().st_size
+    assert len(rows) > 700 and all((tmp_path / f"poses.{kind}").stat().st_size
                                    for kind in ("png", "svg"))
     assert "from /ground_truth/pose: " in printed.out and "% of the way)" in printed.out
     assert "s: calibrating at rest: given no rest" in printed.out
@@ -126,7 +128,7 @@ def not_measured() -> list[Entry]:
 
 @pytest.mark.parametrize(("entries", "words", "code", "told"), [
     (without(Imu), (), 1, "no message of type sensor_msgs/msg/Imu; it has: /ground_truth/pose, /"),
-    (MOVING, ("--imu", "other"), 1, "no message of type sensor_msgs/msg/Imu on /other; it has: /i"),
+    (MOVING, ("--imu", "other"), 1, "no message of type sensor_msgs/msg/Imu on /other; it has: "),
     ([*MOVING, *sensor_entries(random_run(3, 2.0), imu="/second")], (), 1,
      "has several IMUs, choose one with --imu: /imu, /second"),
     (MOVING, ("--pose-topic", "seen"), 1, "no poses on /seen; it has: /ground_truth/pose"),

@@ -76,6 +76,11 @@ class UncertainPose(NamedTuple):
     frame: str
     numbers: tuple[float, ...]
 
+    @property
+    def state(self) -> tuple[float, ...]:
+        """As that of `Pose`."""
+        return Pose(self.stamp, self.frame, self.numbers[:7]).state
+
     def in_frame(self, frame: str) -> tuple[Vector, Vector | None]:
         """Return state, shape (6,), and covariance of its error; see `pose_in_frame`.
 

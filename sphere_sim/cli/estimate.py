@@ -38,6 +38,8 @@ from sphere_sim.recording.run import without_sign_jumps
 from sphere_sim.recording.sensor_bag import SensorBag, feed, read_sensor_bag
 
 _NODE, _ROS = "odometry", "--ros-args"
+_WAY = 0.1
+"""Shortest way of which errors are a share [m]."""
 _TESTS = 2.0, 600.0
 """Least and largest duration of a test [s]."""
 
@@ -51,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         if given.params_file is not None:
             texts = file_parameters(given.params_file, f"/{_NODE}")
-        print(f"the robot has to stand still for {given.self_test:g} s", flush=True)
+        print(f"the robot has to stand still for {given.self_test:g} s", file=sys.stderr)
         return _test(listen(given.self_test, given.ros), texts, "")
     bag = read_sensor_bag(given.bag, given.imu, given.pose_topic)
     node = f"{bag.namespace}/{_NODE}"
@@ -125,9 +127,10 @@ def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
     imu = _imu_settings(texts, bag.of(bag.imu)[0][1].frame, bag.namespace)
     settings = with_parameters(OdometryNodeSettings(), texts)
     frame = with_parameters(FrameSettings(), texts).world_frame
-    events, times, states = bag.events()
-    if "initial_state" not in texts and len(times):
-        settings = replace(settings, initial_state=tuple(states[0].tolist()))
+    events, references = bag.events()
+    if "initial_state" not in texts and len(references.get(bag.reference, [()])[0]):
+        start = references[bag.reference][1][0]
+        settings = replace(settings, initial_state=tuple(start.tolist()))
         bag.messages.notes.append(f"initial_state is the first pose of {bag.reference}")
     robot = with_parameters(RobotParameters(), texts, "robot.")
     followed = FollowedOdometry(Odometry(settings, imu, robot))
@@ -145,23 +148,16 @@ def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
         raise BagError(bag.messages.path, f"no pose in {events[-1][0]:.1f} s: {why}")
     table = estimate_table(followed.estimates)
     write_csv(table, out)
-    references = {bag.reference: (times, states), **bag.fixes(events)}
+    estimated = without_sign_jumps(np.column_stack([one.pose for one in followed.estimates]).T)
     compared = {
-        name: (at, poses, _errors(at, poses, table)) for name, (at, poses) in references.items()
-        if len(at)
+        topic: (times, poses, estimate_errors(times, poses, table["time_s"], estimated))
+        for topic, (times, poses) in references.items()
     }
     for line in _report(followed, table, compared):
         print(line)
     save(estimated_poses(followed.estimates, table, compared), out.parent, out.stem)
     print(f"poses in {printable(out)}, figure in {printable(out.with_suffix('.svg'))}")
     return 0
-
-
-def _errors(times: Vector, poses: Vector, table: Mapping[str, Vector]) -> Vector:
-    """Return distance [m] and angle about the vertical [rad] of estimates from poses, (n, 2)."""
-    columns = list(table.values())
-    estimated = without_sign_jumps(np.column_stack(columns[1:7]))
-    return estimate_errors(times, poses, columns[0], estimated)
 
 
 def _report(
@@ -176,22 +172,18 @@ def _report(
            f"{way:.3f} m; {odometry.calibration}")
     yield (f"deviation at the end {length(place)}, heading {math.degrees(heading):.2g} deg, tilt "
            f"{math.degrees(tilt):.2g} deg")
-    for name, (_, _, errors) in compared.items():
+    for topic, (_, _, errors) in compared.items():
         known = errors[np.isfinite(errors[:, 0])]
-        if not len(known):
-            continue
-        rms, turned = np.sqrt(np.mean(known**2, axis=0)).tolist()
-        end, aside = np.abs(known[-1]).tolist()
-        yield (f"from {name}: {length(rms)} rms{_share(rms, way)}, {length(end)} at the end; "
-               f"heading {math.degrees(turned):.2g} deg rms, {math.degrees(aside):.2g} at the end")
+        if len(known):
+            rms, end = np.sqrt(np.mean(known**2, axis=0)), np.abs(known[-1])
+            turned = np.degrees((rms[1], end[1]))
+            share = f" ({100.0 * rms[0] / way:.2g} % of the way)" if way > _WAY else ""
+            yield (f"from {topic}: {length(rms[0])} rms{share}, {length(end[0])} at the end; "
+                   f"heading {turned[0]:.2g} deg rms, {turned[1]:.2g} at the end")
     if odometry.fixes_used or odometry.fixes_left_out:
         yield f"fixes: {odometry.fixes_used} used, {odometry.fixes_left_out} left out"
     for one in followed.spells:
         yield f"{one.begin:8.2f} to {one.end:.2f} s: {one.condition}"
-
-
-def _share(error: float, way: float) -> str:
-    return f" ({100.0 * error / way:.2g} % of the way)" if way > 0.1 else ""
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

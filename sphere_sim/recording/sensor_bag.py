@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
-from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
+from sphere_nmpc.model.state import Vector, are_states
 from sphere_nmpc.quantity import counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
@@ -58,13 +58,17 @@ class SensorBag:
         """Return log times [ns] and records of a topic, in their order."""
         return self.messages.decoded.get(topic, [])
 
-    def events(self) -> tuple[list[Event], Vector, Vector]:
-        """Return what an odometry gets, in the order in which it was logged.
+    def events(self) -> tuple[list[Event], dict[str, tuple[Vector, Vector]]]:
+        """Return what an odometry gets, as it was logged, and poses to compare it with.
 
-        Besides times [s] and states, shape (n, 6), of the reference. Times are those of the
-        stamps, or of the log where these cannot be used.
+        The latter are times [s] and states, shape (n, 6), by topic: the reference and the fixes.
+        Times are those of the stamps, or of the log where these cannot be used.
         """
         readings = self.of(self.imu)
+        try:
+            readings[0][1].check_measured()
+        except InvalidInputError as error:
+            raise BagError(self.messages.path, f"{self.imu}: {error}") from None
         numbers: Vector = np.array([(*it.rate, *it.force) for _, it in readings])
         valid = np.all(np.isfinite(numbers), axis=1, keepdims=True)[:, 0]
         if (count := int(np.count_nonzero(valid))) < _FEWEST:
@@ -72,33 +76,23 @@ class SensorBag:
             raise BagError(self.messages.path, reason)
         kept, stamps = read_series(self.messages, self.imu, numbers, valid, "readings")
         clock = BagClock([readings[i][0] for i in kept], stamps)
-        found = [(readings[i][0], clock.time_of_stamp(stamp), self.imu, readings[i][1])
+        found = [(readings[i][0], (clock.time_of_stamp(stamp), self.imu, readings[i][1]))
                  for i, stamp in zip(kept, stamps, strict=True)]
-        poses = [[it for it in self.messages.decoded if _last(it) == kind]
+        poses = [_nearest(self.imu, [it for it in self.messages.decoded if _last(it) == kind])
                  for kind in (FIX, PLACED)]
-        others = [self.joints, *(_nearest(self.imu, topics) for topics in poses)]
-        for topic in filter(None, others):
+        compared = {}
+        for topic in filter(None, dict.fromkeys((self.joints, *poses, self.reference))):
             times = self._times(clock, topic)
-            found += [(log, time, topic, record) for time, (log, record)
-                      in zip(times, self.of(topic), strict=True)]
-        found.sort(key=lambda event: event[0])
-        seen = [record.state for _, record in self.of(self.reference)]
-        states: Vector = np.array(seen, dtype=float).reshape(-1, POSE_SIZE)
-        times, first = np.unique(self._times(clock, self.reference), return_index=True)
-        usable = are_states(states[first])
-        states = without_sign_jumps(states[first][usable])
-        return [event[1:] for event in found], times[usable], states
-
-    def fixes(self, events: Iterable[Event]) -> dict[str, tuple[Vector, Vector]]:
-        """Return times [s] and states, shape (n, 6), of the poses measured elsewhere, by topic."""
-        found: dict[str, list[tuple[float, ...]]] = {}
-        for time, topic, record in events:
-            if _last(topic) == FIX:
-                x, y, _, qx, qy, qz, qw = record.numbers[:7]
-                found.setdefault(topic, []).append((time, x, y, qw, qx, qy, qz))
-        rows = {topic: np.array(sorted(given)) for topic, given in found.items()}
-        rows = {topic: row[are_states(row[:, 1:])] for topic, row in rows.items()}
-        return {topic: (row[:, 0], row[:, 1:]) for topic, row in rows.items()}
+            if topic != self.reference:
+                found += [(log, (time, topic, record)) for time, (log, record)
+                          in zip(times.tolist(), self.of(topic), strict=True)]
+            if topic in (poses[0], self.reference):
+                states: Vector = np.array([record.state for _, record in self.of(topic)])
+                times, first = np.unique(times, return_index=True)
+                usable = are_states(states[first])
+                compared[topic] = times[usable], without_sign_jumps(states[first][usable])
+        found.sort(key=lambda entry: entry[0])
+        return [event for _, event in found], compared
 
     def _times(self, clock: BagClock, topic: str) -> Vector:
         """Return the times of messages [s]; a note says whose stamps cannot be used."""
@@ -134,15 +128,11 @@ def read_sensor_bag(
         missing = messages.incomplete(missing) if messages.truncated else missing
         raise BagError(path, f"{missing}; it has: {', '.join(others) or 'no topic'}")
     (imu, *_) = wanted
-    try:
-        messages.decoded[imu][0][1].check_measured()
-    except InvalidInputError as error:
-        raise BagError(path, f"{imu}: {error}") from None
-    named = {topic: messages.decoded[topic] for topic in _of_type(messages, Joints)
-             if topic in messages.decoded}
-    rotors = [topic for topic, entries in named.items()
-              if any(set(JOINT_NAMES) <= set(record.names) for _, record in entries)]
-    if named and not rotors:
+    joints = [topic for topic in _of_type(messages, Joints) if topic in messages.decoded]
+    rotors = [topic for topic in joints if any(
+        record.of_rotors() is not None for _, record in messages.decoded[topic]
+    )]
+    if joints and not rotors:
         messages.notes.append(f"no joint states name {' and '.join(JOINT_NAMES)}")
     poses = [topic for topic in _of_type(messages, Pose) if topic in messages.decoded]
     if pose_topic is not None and (pose_topic := full_topic_name(pose_topic)) not in poses:
@@ -150,7 +140,7 @@ def read_sensor_bag(
     own = [topic for topic in poses if topic.endswith(f"/{TRUE_POSE}")]
     own = own or [topic for topic in poses if _last(topic) == "pose"]
     return SensorBag(
-        messages, imu, _nearest(imu, rotors), pose_topic or _nearest(imu, own)
+        messages, imu, _nearest(imu, rotors or joints), pose_topic or _nearest(imu, own)
     )
 
 

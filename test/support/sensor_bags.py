@@ -32,17 +32,18 @@ Entry = tuple[str, type, int, bytes]
 """Topic, record of the type, log time [ns] and message."""
 
 
-def sensor_entries(run: Run, imu: str = "/imu", truth: str = "/ground_truth/pose"
-                   ) -> Iterator[Entry]:
-    """Yield the messages of a run in their order."""
+def sensor_entries(
+    run: Run, imu: str = "/imu", truth: str = "/ground_truth/pose"
+) -> Iterator[Entry]:
+    """Yield the messages of a run in their order, with true poses also of the rest before it."""
     for one in run.readings:
         stamp = one.stamp + EPOCH
         message = imu_message(one.rate, one.force, IMU.deviations, stamp, "imu")
         yield imu, Imu, stamp, message
         message = joint_states_message(one.angles, one.speeds, one.torques, stamp)
         yield "/joint_states", Joints, stamp, message
-        if one.stamp in run.states:
-            state = run.states[one.stamp]
+        state = run.states.get(max(one.stamp, 0))
+        if state is not None:
             yield truth, Pose, stamp, pose_message(state, stamp, 0.3)
 
 

@@ -12,6 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 
+from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros import cdr
 from sphere_nmpc.ros.guarded_node import GuardedNode, spin_for
 from sphere_nmpc.ros.startup import start_ros
@@ -20,17 +21,17 @@ _KINDS = {"imu": (Imu, cdr.Imu), "joint_states": (JointState, cdr.Joints),
           "pose": (PoseStamped, cdr.Pose)}
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """As that of the odometry: publishers of either reliability match."""
-_FIRST = 10.0
-"""Longest wait for the first reading of the IMU [s; wall time]."""
+_PATIENCE = 10.0
+"""Longest wait for the next reading of the IMU [s; wall time]."""
 _TURN = 0.05
 """Longest wait for a message [s; wall time]."""
 
 
 def listen(duration: float, words: Sequence[str]) -> dict[str, list[tuple[int, Any]]]:
-    """Return what is received for a wall time [s], from the first reading of the IMU on.
+    """Return what is received for a time [s; ROS clock], from the first reading of the IMU on.
 
     That is, by topic, for each that has a publisher or a message, the times [ns] of receipt and
-    the records of its messages. `words` are the arguments of ROS.
+    the records of its messages. It ends early where the IMU is silent. `words` are those of ROS.
     """
     start_ros(words)
     node = GuardedNode("estimate")
@@ -49,12 +50,13 @@ def listen(duration: float, words: Sequence[str]) -> dict[str, list[tuple[int, A
                 kind, name, lambda raw, name=name, record=record: take(raw, name, record), _QOS,
                 raw=True,
             )
-        end = time.monotonic() + _FIRST
-        while not seen["imu"] and time.monotonic() < end:
+        readings, number, since = seen["imu"], 0, time.monotonic()
+        while time.monotonic() < since + _PATIENCE and (
+            not readings or readings[-1][0] < readings[0][0] + duration * NANOSECONDS
+        ):
             spin_for(executor, _TURN)
-        end = time.monotonic() + duration
-        while seen["imu"] and time.monotonic() < end:
-            spin_for(executor, _TURN)
+            if len(readings) > number:
+                number, since = len(readings), time.monotonic()
         return {name: found for name, found in seen.items() if found or node.count_publishers(
             node.resolve_topic_name(name))}
     finally:

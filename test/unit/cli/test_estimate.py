@@ -3,11 +3,13 @@
 """The odometry on a recorded bag, and the test of the sensors of a recorded robot."""
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
+from document_commands import FENCE, ROOT
 from inertial_runs import IMU, Run, random_run
 from sensor_bags import EPOCH, PARAMETERS, Entry, sensor_entries, uncertain_pose, write_sensors
 
@@ -15,6 +17,8 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import Imu, Joints, Pose
 from sphere_sim.cli.main import main
 from sphere_sim.evaluation.metrics import estimate_errors
+
+pytestmark = pytest.mark.slow
 
 NEAR = 0.005
 """Error of the position after a metre [m]: some parts in a thousand of the way."""
@@ -78,6 +82,19 @@ def test_fixes_and_given_poses_are_used_when_they_were_received(
     assert code == 0 and np.nanmax(errors(run, out)) < NEAR
     printed = capsys.readouterr().out
     assert "fixes: 1 used, 0 left out" in printed and "from /pose_fix: " in printed
+
+
+def test_message_that_the_node_refuses_is_left_out_and_named(
+    run, parameters, tmp_path, capsys
+) -> None:
+    fix = uncertain_pose("/pose_fix", np.ones(6), 2.0, variance=-1.0)
+    elsewhere = *fix[:3], fix[3].replace(b"world", b"wurld")
+    entries = [*sensor_entries(run), fix, elsewhere]
+    code, out = estimate(tmp_path, entries, "--params-file", str(parameters))
+    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
+    told = [line for line in capsys.readouterr().err.splitlines() if "/pose_fix" in line]
+    assert len(told) == 1
+    assert told[0].startswith("estimate: /pose_fix: 2 messages were refused; quaternion: ")
 
 
 def test_recorded_parameters_are_used_and_those_of_a_file_come_first(
@@ -165,14 +182,40 @@ def test_self_test_of_a_bag_passes_at_rest_and_fails_in_motion(
     assert last.startswith("FAIL: imu rest, ") and "rotor speeds" in last
 
 
-def test_self_test_names_joints_and_readings_that_are_not_the_expected_ones(
-    run, tmp_path, capsys
-) -> None:
-    entries = [
-        (topic, record, log, message.replace(b"rotor_", b"wheel_"))
-        for topic, record, log, message in [*not_measured(), *without(Imu)]
+def test_document_shows_what_is_printed(run, parameters, tmp_path, capsys) -> None:
+    text = (ROOT / "docs" / "porting.md").read_text()
+    section = text[text.index("\n## Check the sensors") : text.index("\n## Processor")]
+    tested, estimated = [block for kind, block in FENCE.findall(section) if kind == "text"]
+    bag = str(write_sensors(tmp_path / "bag", sensor_entries(run)))
+    given = "estimate", bag, "--params-file", str(parameters)
+    main([*given, "--self-test", "2.3"])
+    assert forms(tested) == forms(capsys.readouterr().out)
+    main([*given, "--out", str(tmp_path / "poses.csv")])
+    # What an odometry has found at rest and its conditions are its own words.
+    begins = ("deviation", "from")
+    printed = forms(capsys.readouterr().out)
+    assert [line for line in forms(estimated) if line.startswith(begins)] == [
+        line for line in printed if line.startswith(begins)
     ]
+
+
+def forms(text: str) -> list[str]:
+    """Return the lines of an output with # for each number."""
+    return [re.sub(r"[-+]?\d[\d.]*(e[-+]\d+)?", "#", line) for line in text.splitlines()]
+
+
+@pytest.mark.parametrize(("change", "told"), [
+    (lambda message: message.replace(b"rotor_", b"wheel_"),
+     "FAIL  joint_states names   given ['wheel_1_joint', 'wheel_2_joint'], expected rotor_1"),
+    (lambda message: message[:-72] + np.float64(-1.0).tobytes() + message[-64:],
+     "FAIL  imu readings         linear_acceleration_covariance: given -1.0, expected one"),
+])
+def test_self_test_names_messages_that_do_not_measure(
+    change, told, run, tmp_path, capsys
+) -> None:
+    record = Imu if "imu" in told else Joints
+    entries = [(*one[:3], change(one[3]) if one[1] is record else one[3])
+               for one in sensor_entries(run)]
     bag = str(write_sensors(tmp_path / "bag", entries))
     assert main(["estimate", bag, "--self-test", "2"]) == 1
-    told = capsys.readouterr().err
-    assert "linear_acceleration_covariance" in told
+    assert told in capsys.readouterr().out

@@ -19,9 +19,9 @@ from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.quantity import NANOSECONDS, counted, quantities
 from sphere_nmpc.ros.cdr import BODY_FRAME, JOINT_NAMES
-from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings
+from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry, deviations, estimate_table
 from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.evaluation.sensor_check import FAIL, WARN, Finding, Sensor, check_sensors
@@ -38,8 +38,15 @@ from sphere_sim.recording.run import without_sign_jumps
 from sphere_sim.recording.sensor_bag import SensorBag, feed, read_sensor_bag
 
 _NODE, _ROS = "odometry", "--ros-args"
+_SETTINGS = (
+    ("", OdometryNodeSettings), ("", FrameSettings), ("", SchedulingSettings),
+    ("imu.", ImuSettings), ("robot.", RobotParameters),
+)
+"""Settings of the node, with the prefixes of their names."""
 _WAY = 0.1
 """Shortest way of which errors are a share [m]."""
+_LISTED = 5
+"""Times of one condition that are listed."""
 _TESTS = 2.0, 600.0
 """Least and largest duration of a test [s]."""
 
@@ -47,19 +54,19 @@ _TESTS = 2.0, 600.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the poses and return 0; with ``--self-test`` return 1 where a check fails."""
     given = parse(sys.argv[1:] if arguments is None else arguments)
-    texts: dict[str, str] = {}
     if given.bag is None:
         from sphere_sim.ros.session.sensor_listener import listen
 
-        if given.params_file is not None:
-            texts = file_parameters(given.params_file, f"/{_NODE}")
+        texts = _given_parameters(given.params_file, f"/{_NODE}")
         print(f"the robot has to stand still for {given.self_test:g} s", file=sys.stderr)
-        return _test(listen(given.self_test, given.ros), texts, "")
+        remapped = (("imu", given.imu), ("pose", given.pose_topic))
+        words = [word for name, topic in remapped if topic for word in ("-r", f"{name}:={topic}")]
+        ros = [*(given.ros or [_ROS]), *words]
+        return _test(listen(given.self_test, ros), texts, "")
     bag = read_sensor_bag(given.bag, given.imu, given.pose_topic)
     node = f"{bag.namespace}/{_NODE}"
     texts = bag_parameters(bag.messages.custom_data, node)
-    if given.params_file is not None:
-        texts |= file_parameters(given.params_file, node)
+    texts |= _given_parameters(given.params_file, node)
     if given.self_test is None:
         return _estimate(bag, texts, given.out)
     end = bag.of(bag.imu)[0][0] + round(given.self_test * NANOSECONDS)
@@ -68,6 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         role: [entry for entry in bag.of(topic) if entry[0] <= end]
         for role, topic in roles.items() if topic
     }, texts, bag.namespace)
+
+
+def _given_parameters(file: Path | None, node: str) -> dict[str, str]:
+    """Return the texts of parameters in a file, and print which of them the node does not have."""
+    texts = {} if file is None else file_parameters(file, node)
+    known = {f"{prefix}{name}" for prefix, settings in _SETTINGS for name in quantities(settings)}
+    if unknown := sorted(texts.keys() - known - {"use_sim_time"}):
+        named = shown(", ".join(unknown))
+        print(f"estimate: {file}: unknown parameters, ignored: {named}", file=sys.stderr)
+    return texts
 
 
 def _test(
@@ -182,8 +199,11 @@ def _report(
                    f"heading {turned[0]:.2g} deg rms, {turned[1]:.2g} at the end")
     if odometry.fixes_used or odometry.fixes_left_out:
         yield f"fixes: {odometry.fixes_used} used, {odometry.fixes_left_out} left out"
-    for one in followed.spells:
-        yield f"{one.begin:8.2f} to {one.end:.2f} s: {one.condition}"
+    for kind in dict.fromkeys(one.condition.kind for one in followed.spells):
+        spells = [one for one in followed.spells if one.condition.kind is kind]
+        when = ", ".join(f"{one.begin:.2f} to {one.end:.2f} s" for one in spells[:_LISTED])
+        more = f" and {len(spells) - _LISTED} more times" if len(spells) > _LISTED else ""
+        yield f"{when}{more}: {spells[0].condition}"
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -202,7 +222,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
                         help="test the sensors for so long, of a bag at its start")
     parser.add_argument("--params-file", type=Path, metavar="FILE.yaml",
                         help="parameters of the node odometry (default: as recorded)")
-    parser.add_argument("--imu", metavar="TOPIC", help="IMU, if a bag has several")
+    parser.add_argument("--imu", metavar="TOPIC",
+                        help="IMU, if a bag has several, or a live one is not on imu")
     parser.add_argument("--pose-topic", metavar="TOPIC",
                         help="poses to compare with (default: ground_truth/pose, or pose)")
     words = list(arguments)
@@ -211,6 +232,6 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     given.ros = words[at:]
     if given.bag is None and given.self_test is None:
         parser.error("argument BAG: given none, expected a bag, or --self-test")
-    if given.bag is not None and given.self_test is None and given.out is None:
-        parser.error("argument --out: given none, expected a .csv file")
+    if given.self_test is None and (given.out is None or given.out.suffix != ".csv"):
+        parser.error(f"argument --out: given {given.out or 'none'}, expected a .csv file")
     return given

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
-from sphere_nmpc.model.state import Vector, are_states
+from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
 from sphere_nmpc.quantity import counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
@@ -87,7 +87,8 @@ class SensorBag:
                 found += [(log, (time, topic, record)) for time, (log, record)
                           in zip(times.tolist(), self.of(topic), strict=True)]
             if topic in (poses[0], self.reference):
-                states: Vector = np.array([record.state for _, record in self.of(topic)])
+                given = [record.state for _, record in self.of(topic)]
+                states: Vector = np.array(given, dtype=float).reshape(-1, POSE_SIZE)
                 times, first = np.unique(times, return_index=True)
                 usable = are_states(states[first])
                 compared[topic] = times[usable], without_sign_jumps(states[first][usable])

@@ -103,10 +103,22 @@ def test_recorded_parameters_are_used_and_those_of_a_file_come_first(
     recorded = {"imu.position": IMU.position, "imu.orientation": IMU.orientation,
                 "calibration_time": 600.0}
     custom = {"parameters:/odometry": json.dumps(recorded)}
-    parameters.write_text("odometry: {ros__parameters: {calibration_time: 2}}")
+    parameters.write_text("odometry: {ros__parameters: {calibration_time: 2, imu.gyro_nose: 1}}")
     given = "--params-file", str(parameters)
     code, out = estimate(tmp_path, sensor_entries(run), *given, custom=custom)
     assert code == 0 and np.nanmax(errors(run, out)) < NEAR
+    assert "my_robot.yaml: unknown parameters, ignored: 'imu.gyro_nose'" in capsys.readouterr().err
+
+
+def test_longest_run_of_a_bag_is_used_whatever_it_has(run, parameters, tmp_path, capsys) -> None:
+    other = uncertain_pose("/pose_fix", np.ones(6), -4.9)
+    later = [(*one[:2], one[2] + 20 * 10**9, one[3]) for one in sensor_entries(run)]
+    before = [one for one in sensor_entries(random_run(3, 2.0)) if one[2] < EPOCH]
+    code, out = estimate(
+        tmp_path, [*before, other, *later], "--params-file", str(parameters)
+    )
+    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
+    assert "/imu: time goes back, so the bag holds several runs" in capsys.readouterr().err
 
 
 def test_stamps_of_another_clock_are_replaced_by_log_times(
@@ -163,7 +175,9 @@ def test_bag_without_what_is_needed_is_one_line(
     assert not (tmp_path / "poses.csv").exists()
 
 
-@pytest.mark.parametrize("words", [(), ("bag",), ("bag", "--self-test", "1"), ("--out", "a.csv")])
+@pytest.mark.parametrize("words", [
+    (), ("bag",), ("bag", "--self-test", "1"), ("--out", "a.csv"), ("bag", "--out", "a.png"),
+])
 def test_arguments_that_do_not_say_what_to_do_are_refused(words, capsys) -> None:
     with pytest.raises(SystemExit) as end:
         main(["estimate", *words])

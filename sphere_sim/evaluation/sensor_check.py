@@ -27,7 +27,7 @@ _BLOCK = 0.25
 """Time over which readings are averaged, so that vibrations count little [s]."""
 _STILL = (2e-3, 0.03)
 """Changes of the means of gyro [rad/s] and accelerometer [m/s^2] that are none, whatever their
-noise: in a second the first is a tenth of a degree, the second an inclination by that."""
+noise: the first is a tenth of a degree a second, the second an inclination by two."""
 _SCATTERS = 8.0
 """Standard deviations of the mean by which one may differ at rest [-]; noise that a device filters
 is larger in a mean than its readings show."""
@@ -37,6 +37,7 @@ _CONVENTIONS = (
     (0.0, _NO_GRAVITY, "gravity removed"), (_NO_GRAVITY, 1.2, "in g"), (31.5, 32.9, "in ft/s^2"),
     (950.0, 992.0, "in cm/s^2"), (992.0, 1050.0, "in mg"), (9.4e3, 1.02e4, "in mm/s^2"),
     (18.6, 20.6, "gravity added twice"),
+    *((0.97 * counts, 1.03 * counts, "in raw counts") for counts in (2048, 4096, 8192, 16384)),
 )
 """Norms of the specific force at rest from and to which it is given in another convention."""
 _NOISIER, _MUCH_NOISIER = 3.0, 20.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantity import LARGEST, counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
 from sphere_sim.recording.bag_clock import BagClock
@@ -70,10 +70,14 @@ class SensorBag:
         except InvalidInputError as error:
             raise BagError(self.messages.path, f"{self.imu}: {error}") from None
         numbers: Vector = np.array([(*it.rate, *it.force) for _, it in readings])
-        valid = np.all(np.isfinite(numbers), axis=1, keepdims=True)[:, 0]
+        valid = np.all(np.abs(numbers) <= LARGEST, axis=1, keepdims=True)[:, 0]
         if (count := int(np.count_nonzero(valid))) < _FEWEST:
             reason = f"{self.imu} has {counted(count, 'finite reading')}, expected more"
             raise BagError(self.messages.path, reason)
+        if count < len(valid):
+            self.messages.notes.append(
+                f"{self.imu}: {len(valid) - count} readings that are not finite were ignored"
+            )
         kept, stamps = read_series(self.messages, self.imu, numbers, valid, "readings")
         clock = BagClock([readings[i][0] for i in kept], stamps)
         found = [(readings[i][0], (clock.time_of_stamp(stamp), self.imu, readings[i][1]))

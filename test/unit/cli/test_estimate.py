@@ -90,9 +90,14 @@ def test_message_that_the_node_refuses_is_left_out_and_named(
     fix = uncertain_pose("/pose_fix", np.ones(6), 2.0, variance=-1.0)
     elsewhere = *fix[:3], fix[3].replace(b"world", b"wurld")
     entries = [*sensor_entries(run), fix, elsewhere]
+    large = np.array([1e300, np.nan]).tobytes()
+    entries[900] = *entries[900][:3], entries[900][3][:-96] + large + entries[900][3][-80:]
+    assert entries[900][1] is Imu
     code, out = estimate(tmp_path, entries, "--params-file", str(parameters))
     assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    told = [line for line in capsys.readouterr().err.splitlines() if "/pose_fix" in line]
+    lines = capsys.readouterr().err.splitlines()
+    assert "estimate: /imu: 1 readings that are not finite were ignored" in lines
+    told = [line for line in lines if "/pose_fix" in line]
     assert len(told) == 1
     assert told[0].startswith("estimate: /pose_fix: 2 messages were refused; quaternion: ")
 

@@ -86,6 +86,7 @@ def test_sensors_as_they_are_expected_pass_every_check() -> None:
     ({"imu": scaled(FORCE, 1.0 / 9.81)}, FAIL, "specific force", "in g"),
     ({"imu": scaled(FORCE, 1e3 / 9.81)}, FAIL, "specific force", "in mg"),
     ({"imu": scaled(FORCE, 1e3)}, FAIL, "specific force", "in mm/s^2"),
+    ({"imu": scaled(FORCE, 4096.0 / 9.81)}, FAIL, "specific force", "in raw counts"),
     ({"imu": scaled(FORCE, 2.0)}, FAIL, "specific force", "gravity added twice"),
     ({"imu": scaled(FORCE, 1.2)}, WARN, "specific force", "imu.accelerometer_scale"),
     ({"imu": scaled(FORCE, -1.0)}, FAIL, "up", "opposite sign"),

@@ -147,6 +147,19 @@ def test_stamps_of_another_clock_are_replaced_by_log_times(
     assert "/joint_states: " in told and "the log times are used" in told
 
 
+def test_log_times_of_another_clock_and_pace_make_no_difference(
+    run, parameters, tmp_path, capsys
+) -> None:
+    fix = uncertain_pose("/pose_fix", run.states[3 * 10**9], 3.0)
+    # Logged by the system clock, of a simulation that is 2.5 times as fast.
+    entries = [(*one[:2], 1_800_000_000 * 10**9 + one[2] * 2 // 5, one[3])
+               for one in (*sensor_entries(run), fix)]
+    code, out = estimate(tmp_path, entries, "--params-file", str(parameters))
+    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
+    printed = capsys.readouterr()
+    assert "fixes: 1 used" in printed.out and "stamps" not in printed.err
+
+
 MOVING = [one for one in sensor_entries(random_run(3, 2.0)) if one[2] > EPOCH + 500_000_000]
 
 

@@ -160,6 +160,17 @@ def test_log_times_of_another_clock_and_pace_make_no_difference(
     assert "fixes: 1 used" in printed.out and "stamps" not in printed.err
 
 
+def test_topics_are_those_of_the_robot_of_the_imu(run, parameters, tmp_path, capsys) -> None:
+    entries = [(f"/{robot}{one[0]}", *one[1:]) for robot, motion in
+               (("a", random_run(4, 5.0)), ("b", run), ("c", random_run(5, 5.0)))
+               for one in sensor_entries(motion)]
+    parameters.write_text(PARAMETERS.replace("/**", "/b/odometry"))
+    given = "--params-file", str(parameters), "--imu", "b/imu"
+    code, out = estimate(tmp_path, entries, *given)
+    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
+    assert "from /b/ground_truth/pose: " in capsys.readouterr().out
+
+
 MOVING = [one for one in sensor_entries(random_run(3, 2.0)) if one[2] > EPOCH + 500_000_000]
 
 

@@ -20,6 +20,7 @@ from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.evaluation.followed_odometry import FollowedOdometry
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
@@ -151,20 +152,17 @@ def followed(
     robot = conditions.robot
     robot = replace(robot, shell_radius=robot.shell_radius * radius)
     odometry = Odometry(settings, conditions.imu, robot)
-    errors, estimates, told, before = [], [], Counter[str](), set[str]()
+    errors, followed = [], FollowedOdometry(odometry)
     for k, (stamp, rate, force, angles, speeds, state) in enumerate(zip(*drive, strict=True)):
         odometry.observe_imu(stamp, rate, force)
         odometry.observe_rotors(stamp, speeds, angles)
         if k % _EVERY == 0:
             odometry.check(stamp)
-            kinds = {one.kind.name for one in odometry.conditions}
-            told.update(kinds - before)
-            before = kinds
-            estimate = odometry.estimate
+            estimate = followed.read(stamp)
             if estimate is not None:
-                estimates.append(estimate)
                 errors.append(world_error(estimate.pose, state))
-    return np.array(errors), estimates, told
+    told = Counter(spell.condition.kind.name for spell in followed.spells)
+    return np.array(errors), followed.estimates, told
 
 
 def squares(error: Vector, estimate: PoseEstimate) -> list[float]:

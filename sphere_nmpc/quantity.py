@@ -71,6 +71,20 @@ def quantities(settings: Any) -> dict[str, Quantity]:
     return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
 
 
+def parsed(name: str, text: str, default: Any) -> Any:
+    """Return the text of a parameter as the type of its default; commas separate numbers."""
+    try:
+        if isinstance(default, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if isinstance(default, tuple):
+            return tuple(float(part) for part in text.split(","))
+        return type(default)(text)
+    except (KeyError, ValueError):
+        kind = "true or false" if isinstance(default, bool) else "a number"
+        kind = "a whole number" if type(default) is int else kind
+        raise InvalidParameterError(name, text, kind) from None
+
+
 def validate(settings: Any) -> None:
     """Check every quantity of a dataclass instance against its type, range and choices.
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector, make_state, upright_state
 from sphere_nmpc.quantity import NANOSECONDS
@@ -37,6 +38,8 @@ BODY_FRAME = "base_link"
 
 _PLAIN = b"\x00\x01\x00\x00"
 """Encapsulation: plain CDR with the least significant byte first."""
+_NOT_MEASURED = -1.0
+"""First element of a covariance of `Imu` whose quantity is not measured."""
 _ORDERS = {_PLAIN[:2]: "<", b"\x00\x00": ">"}
 _BEGIN = len(_PLAIN)
 """Where the message begins; its numbers are aligned to their size from here."""
@@ -63,6 +66,30 @@ class Pose(NamedTuple):
         return x, y, qw, qx, qy, qz
 
 
+class UncertainPose(NamedTuple):
+    """Stamped pose with the covariance of x, y, z [m] and turns about the fixed axes [rad].
+
+    The 43 numbers are those of `Pose`, and the covariance row by row.
+    """
+
+    stamp: int
+    frame: str
+    numbers: tuple[float, ...]
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """As that of `Pose`."""
+        return Pose(self.stamp, self.frame, self.numbers[:7]).state
+
+    def in_frame(self, frame: str) -> tuple[Vector, Vector | None]:
+        """Return state, shape (6,), and covariance of its error; see `pose_in_frame`.
+
+        The covariance is that of `error_covariance`.
+        """
+        pose = pose_in_frame(self.numbers[:7], self.frame, frame)
+        return pose, error_covariance(pose, np.array(self.numbers[7:]).reshape(6, 6))
+
+
 class Imu(NamedTuple):
     """Orientation, angular velocity [rad/s] and specific force [m/s^2], each with its covariance.
 
@@ -82,6 +109,15 @@ class Imu(NamedTuple):
     def force(self) -> tuple[float, ...]:
         """Specific force [m/s^2; in the frame]."""
         return self.numbers[25:28]
+
+    def check_measured(self) -> None:
+        """Raise `InvalidInputError` if it says that it does not measure one of the two."""
+        for name, first in (("angular_velocity", 16), ("linear_acceleration", 28)):
+            if self.numbers[first] == _NOT_MEASURED:
+                raise InvalidInputError(
+                    f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
+                    f"stands for an IMU that does not measure the {name}",
+                )
 
 
 class Joints(NamedTuple):
@@ -195,6 +231,8 @@ class Numbers(NamedTuple):
 
 TYPES: dict[Any, str] = {
     Pose: "geometry_msgs/msg/PoseStamped",
+    UncertainPose: "geometry_msgs/msg/PoseWithCovarianceStamped",
+    Imu: "sensor_msgs/msg/Imu",
     Joints: "sensor_msgs/msg/JointState",
     Trajectory: "trajectory_msgs/msg/JointTrajectory",
     Status: "diagnostic_msgs/msg/DiagnosticStatus",
@@ -217,6 +255,7 @@ _STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
 _LAYOUTS: dict[Any, tuple[Any, ...]] = {
     Clock: (_TIME,),
     Pose: (*_HEADER, "7d"),
+    UncertainPose: (*_HEADER, "43d"),
     Imu: (*_HEADER, "37d"),
     Joints: (*_HEADER, [_TEXT], ["d"], ["d"], ["d"]),
     Trajectory: (*_HEADER, [_TEXT], [(["d"], ["d"], ["d"], ["d"], _TIME)]),

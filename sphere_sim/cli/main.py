@@ -30,6 +30,9 @@ VERBS = {
     "study": ("sphere_sim.cli.study", "run many scenarios and write tables of the outcome"),
     "benchmark": ("sphere_sim.cli.benchmark", "time the solver on this machine"),
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
+    "estimate": (
+        "sphere_sim.cli.estimate", "estimate the poses of a bag from its IMU, or test the sensors",
+    ),
     "calibrate_radius": (
         "sphere_sim.ros.session.calibrate_radius", "find the radius from a measured way",
     ),

@@ -39,49 +39,61 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
         raise BagError(messages.path, reason)
     if not np.all(valid):
         messages.notes.append(f"{topic}: {int(np.sum(~valid))} invalid poses were ignored")
-    states = states[valid]
+    run, stamps = read_series(messages, topic, states, valid, "poses")
+    states = states[run]
+    clock = BagClock([entries[i][0] for i in run], stamps)
+    states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
+    # While simulated time is paused, the simulator repeats the pose of that instant.
+    times, first = np.unique([clock.time_of_stamp(stamp) for stamp in stamps], return_index=True)
+    return clock, times, states[first]
+
+
+def read_series(
+    messages: Messages, topic: str, values: Vector, valid: NDArray[np.bool_], noun: str
+) -> tuple[list[int], list[int]]:
+    """Return which messages of a topic are of its longest run and have a time, and the times [ns].
+
+    `values` is what the messages hold, shape (n, k), of which those that are `valid` can be used;
+    `noun` is how notes call them. Messages of other runs are removed, of all topics.
+    """
+    entries = messages.decoded.get(topic, [])
+    used = np.flatnonzero(valid)
     logs, stamps = np.array(
-        [(log, it.stamp) for (log, it), use in zip(entries, valid, strict=True) if use],
-        dtype=np.int64,
-    ).T
-    kept, stamps = _usable(messages, topic, logs, stamps, states)
-    states, logs, stamps = states[kept], logs[kept], stamps[kept]
+        [(entries[i][0], entries[i][1].stamp) for i in used], dtype=np.int64
+    ).reshape(-1, 2).T
+    kept, stamps = _usable(messages, topic, logs, stamps, values[used], noun)
+    used, logs, stamps = used[kept], logs[kept], stamps[kept]
     run = longest_run(stamps)
     if run.stop - run.start < len(stamps):
         messages.notes.append(
             f"{topic}: time goes back, so the bag holds several runs; only the longest is used, "
-            f"{run.stop - run.start} of {len(stamps)} poses"
+            f"{run.stop - run.start} of {len(stamps)} {noun}"
         )
         following = int(logs[run.stop]) if run.stop < len(logs) else None
         _remove_other_runs(messages, int(logs[run.start]), following)
-    received, used = logs[run].tolist(), stamps[run].tolist()
-    clock = BagClock(received, used)
-    states = states[run]
-    states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
-    # While simulated time is paused, the simulator repeats the pose of that instant.
-    times, first = np.unique([clock.time_of_stamp(stamp) for stamp in used], return_index=True)
-    return clock, times, states[first]
+    return used[run].tolist(), stamps[run].tolist()
 
 
 def _usable(
-    messages: Messages, topic: str, logs: _Stamps, stamps: _Stamps, states: Vector
+    messages: Messages, topic: str, logs: _Stamps, stamps: _Stamps, values: Vector, noun: str
 ) -> tuple[NDArray[np.bool_], _Stamps]:
-    """Return which poses have a usable time, and the times of all [ns]."""
+    """Return which messages have a usable time, and the times of all [ns]."""
     lacking = _without_stamp(stamps)
     count, number = len(stamps), int(np.sum(lacking))
-    why = f"{number} of {count} poses have the stamp 0" if 2 * number >= count else ""
-    if not why and stand_still(logs[~lacking], stamps[~lacking], states[~lacking]):
-        why = "the stamps of the poses do not advance as a time does"
+    why = f"{number} of {count} {noun} have the stamp 0" if 2 * number >= count else ""
+    if not why and stand_still(logs[~lacking], stamps[~lacking], values[~lacking]):
+        why = f"the stamps of the {noun} do not advance as a time does"
     if why:
         if count > 1 and logs.min() == logs.max():
-            raise BagError(messages.path, f"{topic}: no pose has a stamp or a log time of its own")
+            reason = f"{topic}: none of the {noun} has a stamp or a log time of its own"
+            raise BagError(messages.path, reason)
         messages.notes.append(
             f"{topic}: {why}, so that their log times are used, which are later by the time that "
             "they took to the recorder"
         )
         return np.ones(count, dtype=bool), logs
     if number:
-        messages.notes.append(f"{topic}: {number} poses with the stamp 0 were ignored")
+        messages.notes.append(f"{topic}: {number} {noun} with the stamp 0 were ignored")
     usable = ~lacking
     usable[usable] = np.abs(stamps[usable] - np.median(stamps[usable])) < OTHER_CLOCK * NANOSECONDS
     # A stamp that jumps away from its neighbours, in the same direction ...
@@ -96,7 +108,7 @@ def _usable(
         usable[rest[-1]] = not (jumps[-1] and not jumps[-2])
     if other := count - number - int(np.sum(usable)):
         messages.notes.append(
-            f"{topic}: {other} poses were ignored, whose stamps are far from those around them"
+            f"{topic}: {other} {noun} were ignored, whose stamps are far from those around them"
         )
     return usable, stamps
 

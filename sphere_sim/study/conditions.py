@@ -11,7 +11,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities, quantity, validate
+from sphere_nmpc.quantity import parsed, quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.imu_sensor import SimulatedImuSettings
@@ -88,7 +88,7 @@ class StudyConditions:
         changed, plants = {}, dict(self.plants)
         for group, texts in given.items():
             known = _defaults(group)
-            values = {name: _parse(name, text, known[name]) for name, text in texts.items()}
+            values = {name: parsed(name, text, known[name]) for name, text in texts.items()}
             # All at once, as some are valid only together.
             if group in _GROUPS:
                 changed[group] = dataclasses.replace(getattr(self, group), **values)
@@ -134,17 +134,3 @@ def _kind(group: str) -> Any:
 
 def _defaults(group: str) -> dict[str, Any]:
     return {name: getattr(_kind(group), name) for name in quantities(_kind(group))}
-
-
-def _parse(name: str, text: str, default: Any) -> Any:
-    """Convert the text of a setting into the type of its default."""
-    try:
-        if isinstance(default, bool):
-            return {"true": True, "false": False}[text.lower()]
-        if isinstance(default, tuple):
-            return tuple(float(part) for part in text.split(","))
-        return type(default)(text)
-    except (KeyError, ValueError):
-        kind = "true or false" if isinstance(default, bool) else "a number"
-        kind = "a whole number" if type(default) is int else kind
-        raise InvalidParameterError(name, text, kind) from None

@@ -1,0 +1,198 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Bag with what an odometry gets: readings of an IMU and of encoders, poses measured elsewhere."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sphere_nmpc.errors import InvalidInputError, InvalidValueError
+from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
+from sphere_nmpc.quantity import LARGEST, counted
+from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
+from sphere_sim.evaluation.followed_odometry import FollowedOdometry
+from sphere_sim.recording.bag_clock import BagClock
+from sphere_sim.recording.bag_files import BagError, full_topic_name
+from sphere_sim.recording.message_fields import TRUE_POSE
+from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.poses import read_series
+from sphere_sim.recording.run import without_sign_jumps
+
+FIX, PLACED = "pose_fix", "initialpose"
+"""Last parts of the topics of poses that were measured elsewhere, or given."""
+Event = tuple[float, str, Any]
+"""Time since the first reading of the IMU [s], topic and record of a message."""
+_KINDS = {TYPES[kind] for kind in (Imu, Joints, Pose, UncertainPose)}
+_CHECK_EVERY = 0.25
+"""Time between two checks of the sensors, as the node makes them [s]."""
+_FEWEST = 2
+"""Readings below which there is no rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorBag:
+    """Messages of one robot in a bag, by their roles.
+
+    Attributes
+    ----------
+    messages : Messages
+        All of them, with their notes.
+    imu, joints, reference : str
+        Topics; the last two are empty where there are none.
+    """
+
+    messages: Messages
+    imu: str
+    joints: str
+    reference: str
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of the robot, without a slash at its end."""
+        return (self.joints or self.imu).rpartition("/")[0]
+
+    def of(self, topic: str) -> list[tuple[int, Any]]:
+        """Return log times [ns] and records of a topic, in their order."""
+        return self.messages.decoded.get(topic, [])
+
+    def events(self) -> tuple[list[Event], dict[str, tuple[Vector, Vector]]]:
+        """Return what an odometry gets, as it was logged, and poses to compare it with.
+
+        The latter are times [s] and states, shape (n, 6), by topic: the reference and the fixes.
+        Times are those of the stamps, or of the log where these cannot be used.
+        """
+        readings = self.of(self.imu)
+        try:
+            readings[0][1].check_measured()
+        except InvalidInputError as error:
+            raise BagError(self.messages.path, f"{self.imu}: {error}") from None
+        numbers: Vector = np.array([(*it.rate, *it.force) for _, it in readings])
+        valid = np.all(np.abs(numbers) <= LARGEST, axis=1, keepdims=True)[:, 0]
+        if (count := int(np.count_nonzero(valid))) < _FEWEST:
+            reason = f"{self.imu} has {counted(count, 'finite reading')}, expected more"
+            raise BagError(self.messages.path, reason)
+        if count < len(valid):
+            self.messages.notes.append(
+                f"{self.imu}: {len(valid) - count} readings that are not finite were ignored"
+            )
+        kept, stamps = read_series(self.messages, self.imu, numbers, valid, "readings")
+        clock = BagClock([readings[i][0] for i in kept], stamps)
+        found = [(readings[i][0], (clock.time_of_stamp(stamp), self.imu, readings[i][1]))
+                 for i, stamp in zip(kept, stamps, strict=True)]
+        poses = [_nearest(self.imu, [it for it in self.messages.decoded if _last(it) == kind])
+                 for kind in (FIX, PLACED)]
+        compared = {}
+        for topic in filter(None, dict.fromkeys((self.joints, *poses, self.reference))):
+            times = self._times(clock, topic)
+            if topic != self.reference:
+                found += [(log, (time, topic, record)) for time, (log, record)
+                          in zip(times.tolist(), self.of(topic), strict=True)]
+            if topic in (poses[0], self.reference):
+                given = [record.state for _, record in self.of(topic)]
+                states: Vector = np.array(given, dtype=float).reshape(-1, POSE_SIZE)
+                times, first = np.unique(times, return_index=True)
+                usable = are_states(states[first])
+                compared[topic] = times[usable], without_sign_jumps(states[first][usable])
+        found.sort(key=lambda entry: entry[0])
+        return [event for _, event in found], compared
+
+    def _times(self, clock: BagClock, topic: str) -> Vector:
+        """Return the times of messages [s]; a note says whose stamps cannot be used."""
+        found = [clock.time_of_message(record.stamp, log) for log, record in self.of(topic)]
+        undated = sum(
+            time != clock.time_of_stamp(record.stamp)
+            for time, (_, record) in zip(found, self.of(topic), strict=True)
+        )
+        if undated and _last(topic) != PLACED:
+            self.messages.notes.append(
+                f"{topic}: {undated} stamps are not of the clock of the IMU; the log times are "
+                "used"
+            )
+        return np.array(found)
+
+
+def read_sensor_bag(
+    path: Path, imu: str | None = None, pose_topic: str | None = None
+) -> SensorBag:
+    """Read a bag with one IMU, or with several of which one is given by its topic.
+
+    Poses are compared with those of `pose_topic`, by default with ``ground_truth/pose`` or
+    ``pose`` of the robot. `BagError` is raised where there is no such topic.
+    """
+    messages = read_messages(path, lambda _, kind: kind in _KINDS)
+    imus = [topic for topic in _of_type(messages, Imu) if topic in messages.decoded]
+    if imu is None and len(imus) > 1:
+        raise BagError(path, f"has several IMUs, choose one with --imu: {', '.join(imus)}")
+    wanted = imus if imu is None else [full_topic_name(imu)]
+    if not imus or wanted[0] not in imus:
+        others = imus or sorted(messages.types)
+        missing = f"no message of type {TYPES[Imu]}{'' if imu is None else f' on {wanted[0]}'}"
+        missing = messages.incomplete(missing) if messages.truncated else missing
+        raise BagError(path, f"{missing}; it has: {', '.join(others) or 'no topic'}")
+    (imu, *_) = wanted
+    joints = [topic for topic in _of_type(messages, Joints) if topic in messages.decoded]
+    rotors = [topic for topic in joints if any(
+        record.of_rotors() is not None for _, record in messages.decoded[topic]
+    )]
+    if joints and not rotors:
+        messages.notes.append(f"no joint states name {' and '.join(JOINT_NAMES)}")
+    poses = [topic for topic in _of_type(messages, Pose) if topic in messages.decoded]
+    if pose_topic is not None and (pose_topic := full_topic_name(pose_topic)) not in poses:
+        raise BagError(path, f"no poses on {pose_topic}; it has: {', '.join(poses) or 'none'}")
+    own = [topic for topic in poses if topic.endswith(f"/{TRUE_POSE}")]
+    own = own or [topic for topic in poses if _last(topic) == "pose"]
+    return SensorBag(
+        messages, imu, _nearest(imu, rotors or joints), pose_topic or _nearest(imu, own)
+    )
+
+
+def feed(
+    events: Iterable[Event], followed: FollowedOdometry, frame: str
+) -> dict[str, list[str]]:
+    """Pass events to an odometry as its node does; return why messages are refused, by topic."""
+    odometry, refused, checked = followed.odometry, dict[str, list[str]](), 0.0
+    for time, topic, record in events:
+        try:
+            is_new = isinstance(record, Imu)
+            if isinstance(record, Imu):
+                record.check_measured()
+                odometry.observe_imu(time, np.array(record.rate), np.array(record.force))
+            elif isinstance(record, Joints):
+                if (rotors := record.of_rotors()) is not None:
+                    angles, speeds, _ = rotors
+                    known = angles if np.isfinite(angles).all() else None
+                    is_new = odometry.observe_rotors(time, speeds, known)
+            elif _last(topic) == FIX:
+                odometry.correct(time, *record.in_frame(frame))
+            else:  # the stamp of who gives it is that of another clock
+                estimate = odometry.estimate
+                now = time if estimate is None else estimate.time
+                odometry.set_pose(now, *record.in_frame(frame))
+            if is_new:
+                if time > checked + _CHECK_EVERY:
+                    odometry.check(time)
+                    checked = time
+                followed.read(time)
+        except InvalidValueError as error:
+            refused.setdefault(topic, []).append(str(error))
+    return refused
+
+
+def _of_type(messages: Messages, record: Any) -> list[str]:
+    return sorted(topic for topic, kind in messages.types.items() if kind == TYPES[record])
+
+
+def _nearest(topic: str, others: Sequence[str]) -> str:
+    """Return the topic that shares most of its namespace with another one; empty without any."""
+    def shared(other: str) -> int:
+        pairs = zip(topic.split("/")[:-1], other.split("/")[:-1], strict=False)
+        return next((i for i, (a, b) in enumerate(pairs) if a != b), topic.count("/"))
+
+    return max(others, key=shared, default="")
+
+
+def _last(topic: str) -> str:
+    return topic.rpartition("/")[2]

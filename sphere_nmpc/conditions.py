@@ -89,7 +89,8 @@ class Kind(Enum):
     ENCODERS_LATE = "rotor speeds late", WARN
     PUSHED = "pushed", OK
     SLIPPED = "slipped", WARN
-    LIFTED = "lifted", WARN
+    LIFTED = "lifted", ERROR
+    POSITION_UNKNOWN = "position not known", ERROR
     FIX_LEFT_OUT = "fix left out", WARN
     TILT_REPLACED = "tilt replaced", WARN
 

@@ -125,6 +125,11 @@ class Odometry:
         return self.faults.conditions
 
     @property
+    def is_lost(self) -> bool:
+        """Whether the position is not known until a pose is given."""
+        return self.faults.is_lost
+
+    @property
     def estimate(self) -> PoseEstimate | None:
         """The pose at the newest reading; None before the calibration."""
         belief = self._belief

@@ -19,6 +19,8 @@ _CONTRADICTIONS = 8
 """Intervals in which the shell turns otherwise than by the rotors: a push takes some."""
 _SIGNIFICANT = 4.0
 """Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
+LOST = Kind.LIFTED, Kind.POSITION_UNKNOWN
+"""Kinds that last until a pose is given."""
 _LATE = 5e-3
 """Offset of stamps that is told [s]: at full acceleration the rotors change by 2 rad/s in it."""
 
@@ -43,6 +45,11 @@ class SensorFaults:
         """The present ones, the worst first."""
         return worst_first(Condition(kind, text) for kind, (_, text) in self._seen.items())
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the position is not known until a pose is given."""
+        return any(kind in self._seen for kind in LOST)
+
     def see(self, kind: Kind, time: float, text: str) -> None:
         """Note a condition at control time `time` [s]."""
         self._seen[kind] = time, text
@@ -51,12 +58,13 @@ class SensorFaults:
         """Forget what was last seen before a time [s], but not that the position is unknown."""
         self._seen = {
             kind: seen for kind, seen in self._seen.items()
-            if seen[0] >= time or kind is Kind.LIFTED
+            if seen[0] >= time or kind in LOST
         }
 
     def placed(self) -> None:
         """Note that the position is known again."""
-        self._seen.pop(Kind.LIFTED, None)
+        for kind in LOST:
+            self._seen.pop(kind, None)
 
     def reading(self, time: float, rate: Vector, force: Vector) -> bool:
         """Return whether a reading of the IMU can be believed."""

@@ -21,6 +21,8 @@ class ControllerMonitor(InputMonitor):
 
     def __init__(self, node: Node, fault_log: FaultLog) -> None:
         super().__init__(node, fault_log, POSES)
+        (self.poses,) = self.inputs
+        """Messages of the poses."""
         self._command_topic = node.resolve_topic_name("rotor_trajectory")
         self.is_steady = True
         """Whether the clock had not jumped shortly before the last check."""

@@ -268,7 +268,7 @@ class ControllerNode(ClockedNode):
             stamp, frame, numbers = fields(message, Pose)
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
-            self._monitor.received(age, stamp)
+            self._monitor.poses.received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
             pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
             self._monitor.stamps.received(measured, pose.state)

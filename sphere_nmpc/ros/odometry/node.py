@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.mounting import mounting
+from sphere_nmpc.estimation.mounting import FixedFrames
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.model.error_state import fixed_axes_covariance
 from sphere_nmpc.model.parameters import RobotParameters
@@ -69,7 +69,9 @@ class OdometryNode(ClockedNode):
         self._control_clock = ControlClock(self, self._clock_jumped, has_pace=False)
         self.odometry = Odometry(self._settings, self._imu, self._robot)
         self._prefix = frame_prefix(self, self._settings.frame_prefix)
-        self._mounted: str | None = None if self._settings.robot_description else ""
+        urdf = self._settings.robot_description
+        self._frames = FixedFrames(urdf) if urdf else None
+        self._mounted: str | None = None if self._frames else ""
         """Frame whose mounting is in force; None before the first, "" where there is none."""
         self._given: tuple[Vector, Vector | None] | None = None
         self._epoch: int | None = None
@@ -106,7 +108,7 @@ class OdometryNode(ClockedNode):
     def _receive_imu(self, message: bytes) -> None:
         imu = cdr.read(message, cdr.Imu)
         stamp, frame, numbers = imu
-        if not self._reports.imu.received(stamp):
+        if not self._reports.imu.received(stamp, np.array(numbers)):
             return
         for name, first in (("angular_velocity", 16), ("linear_acceleration", 28)):
             if numbers[first] == _NOT_MEASURED:
@@ -114,8 +116,8 @@ class OdometryNode(ClockedNode):
                     f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
                     f"stands for an IMU that does not measure the {name}",
                 )
-        if self._mounted is None:
-            self._mount(frame)
+        if self._mounted is None and self._frames is not None:
+            self._mount(frame, self._frames)
         elif self._mounted not in ("", frame):
             raise InvalidInputError("frame", frame, f"'{self._mounted}', as of the first reading")
         reading = np.array(imu.rate), np.array(imu.force)
@@ -126,10 +128,9 @@ class OdometryNode(ClockedNode):
             for publisher, pose in self._sent:
                 publisher.publish(pose)
 
-    def _mount(self, frame: str) -> None:
+    def _mount(self, frame: str, frames: FixedFrames) -> None:
         """Begin anew with the IMU where the description has the frame of its messages."""
-        link = frame.removeprefix(self._prefix)
-        place, turn = mounting(self._settings.robot_description, link, BODY_FRAME)
+        place, turn = frames.mounting(frame.removeprefix(self._prefix), BODY_FRAME)
         imu = replace(
             self._imu, position=tuple(place.tolist()), orientation=tuple(turn.tolist())
         )
@@ -141,7 +142,7 @@ class OdometryNode(ClockedNode):
     def _receive_joints(self, message: bytes) -> None:
         joints = cdr.read(message, cdr.Joints)
         found = joints.of_rotors()
-        if found is None or not self._reports.joints.received(joints.stamp):
+        if found is None or not self._reports.joints.received(joints.stamp, found):
             return  # of other joints, or without a time
         angles, speeds, _ = found
         if not np.isfinite(speeds).all():
@@ -151,9 +152,10 @@ class OdometryNode(ClockedNode):
             self._publish()
 
     def _publish(self) -> None:
-        """Publish the newest estimate, with the stamp of its reading."""
+        """Publish the newest estimate, with the stamp of its reading, while it is known."""
         estimate, radius = self.odometry.estimate, self._robot.shell_radius
-        if estimate is None or self._epoch is None:
+        if estimate is None or self._epoch is None or self.odometry.is_lost:
+            self._sent = []
             return
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
         height_deviation = radius * self._settings.radius_deviation
@@ -163,7 +165,7 @@ class OdometryNode(ClockedNode):
             covariances = of_pose, estimate.twist_covariance
             return estimate.velocity, estimate.body_rate, covariances
 
-        self._sent_stamp = stamp
+        self._sent_stamp, self._reports.pose = stamp, pose
         self._sent = self._publisher.messages([(stamp, pose)], pose, stamp, moving)
         for publisher, message in self._sent:
             publisher.publish(message)
@@ -175,6 +177,7 @@ class OdometryNode(ClockedNode):
         now = self._time(self._control_clock.stamp()) if estimate is None else estimate.time
         self.odometry.set_pose(now, *self._given)
         self._event_log.report("initialpose", f"at {self._given[0].round(3).tolist()}")
+        self._publish_if_found()
 
     def _correct(self, message: PoseWithCovarianceStamped) -> None:
         fix = uncertain_pose_from_ros(message, self._frame)
@@ -184,6 +187,12 @@ class OdometryNode(ClockedNode):
         reason = self.odometry.correct(self._time(stamp), *fix)
         if reason is not None:
             self._fault_log.report(reason.name, reason.text)
+        self._publish_if_found()
+
+    def _publish_if_found(self) -> None:
+        """Publish at once where no pose was published of the newest reading."""
+        if not self._sent:
+            self._publish()
 
     def _check(self) -> None:
         if self._epoch is not None:

@@ -176,6 +176,13 @@ class Schedule:
         self._took.append(self._late + duration * (self._watch.pace or 1.0))
         self.starting = self.starting and not solved
 
+    def is_overdue(self, now: float, newest: float) -> bool:
+        """Return whether to plan at `now` [s] though nothing triggers it.
+
+        `newest` is the time of the newest pose [s].
+        """
+        return False
+
     def request(self, now: float) -> PlanRequest:
         """Return a request for control time `now` [s], whatever the grid."""
         return self._request(now, now, 0.0)
@@ -229,6 +236,10 @@ class LockstepSchedule(Schedule):
             return False
         self.answered = pose.stamp
         return True
+
+    def is_overdue(self, now: float, newest: float) -> bool:
+        """Return whether time has gone on without poses, which trigger the plans."""
+        return now - newest > max(self._pose_timeout, self._period)
 
     def request(self, now: float) -> PlanRequest:
         """Return a request for control time `now` [s], without a limit of time."""

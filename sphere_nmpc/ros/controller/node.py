@@ -178,6 +178,9 @@ class ControllerNode(ClockedNode):
             has_goal = self.controller.goal_sequence is not None  # else nothing is to move
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
             self._monitor.stamps.moved(now, deviation)
+            newest = self.controller.estimator.newest
+            if newest is not None and self._schedule.is_overdue(now, newest[0]):
+                self._plan(self._schedule.request(now))
         self._monitor.check(
             now, clock.simulated, jump, self._settings.pose_timeout,
             (*self.controller.faults, *self._floor_receiver.faults()),

@@ -62,6 +62,8 @@ class StampedInput:
         self.age, self.has_stamp = math.nan, True
         """Age nearest to 0 [s] of those before that check, one of which has a stamp other than 0:
         of another clock are those whose stamps are all wrong."""
+        self.reported = ""
+        """What the node that publishes them reports as wrong."""
         self._received = False
 
     def received(self, age: float, stamp: int) -> None:
@@ -133,7 +135,7 @@ class InputMonitor:
             told = find_faults(GraphState(
                 follows_clock, self.time, wall - self._time_changed_at, wall - one.seen_at,
                 one.age, timeout, clocks, graph.publishers(one.topic, one.source.message),
-                self._clock_topic, one.topic, others, one.has_stamp, one.source,
+                self._clock_topic, one.topic, others, one.has_stamp, one.source, one.reported,
             ))
             names = {fault.name for fault in found}
             found += [fault for fault in told if fault.name not in names]
@@ -174,6 +176,8 @@ class GraphState:
     has_stamp: bool = True
     """Whether the newest message has a stamp other than 0."""
     source: Source = POSES
+    reported: str = ""
+    """What the node that publishes the messages reports as wrong."""
 
 
 def find_faults(seen: GraphState) -> list[Condition]:
@@ -231,7 +235,8 @@ def _no_message(seen: GraphState) -> Condition | None:
     remedy = f"{source.remedy}, or remap, -r {source.topic}:=/its/topic"
     if seen.senders:
         given = f"a publisher of {seen.topic} ({seen.senders[0]}) but none of its messages"
-        remedy = f"'ros2 topic info -v {seen.topic}' shows its quality of service"
+        quality = f"'ros2 topic info -v {seen.topic}' shows its quality of service"
+        remedy = seen.reported or quality
     return Condition(
         source.missing,
         f"given {given} for {SILENCE_LIMIT:g} s, expected {source.rate}; {remedy}",

@@ -36,11 +36,11 @@ OF_ACTION = {
 """What the server of an action opens."""
 SOMETIMES = {
     "/tf", "/tf_static", "/ground_truth/pose", "/ground_truth/odom",
-    *(f"/{name}" for name in SERVICES),
+    "/odometry/status", *(f"/{name}" for name in SERVICES),
     *(f"/{name}/_action/{part}" for name in ACTIONS for part in sum(OF_ACTION.values(), ())),
 }
 """Opened only where the types are installed (tf2_msgs, all of nav2_msgs), where a subscription
-exists, or with odometry."""
+exists, with odometry, or while there are no poses."""
 Rows = dict[str, set[str]]
 """Full names by kind."""
 

@@ -176,10 +176,10 @@ class Schedule:
         self._took.append(self._late + duration * (self._watch.pace or 1.0))
         self.starting = self.starting and not solved
 
-    def is_overdue(self, now: float, newest: float) -> bool:
-        """Return whether to plan at `now` [s] though nothing triggers it.
+    def is_overdue(self, age: float, are_ended: bool) -> bool:
+        """Return whether to plan though nothing triggers it, as poses do in lockstep.
 
-        `newest` is the time of the newest pose [s].
+        `age` is that of the newest pose [s]; `are_ended` whether who publishes them says so.
         """
         return False
 
@@ -237,9 +237,12 @@ class LockstepSchedule(Schedule):
         self.answered = pose.stamp
         return True
 
-    def is_overdue(self, now: float, newest: float) -> bool:
-        """Return whether time has gone on without poses, which trigger the plans."""
-        return now - newest > max(self._pose_timeout, self._period)
+    def is_overdue(self, age: float, are_ended: bool) -> bool:
+        """Return whether no pose is to be expected of an instant at which the simulator waits.
+
+        Otherwise one may be late, or time has gone on without.
+        """
+        return are_ended or age > max(self._pose_timeout, self._period)
 
     def request(self, now: float) -> PlanRequest:
         """Return a request for control time `now` [s], without a limit of time."""

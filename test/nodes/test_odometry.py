@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The odometry node over real DDS, in the loop with simulator and controller."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +14,9 @@ from nav_msgs.msg import Odometry
 from patience import LOCKSTEP
 from ros_graph import Graph, running_graph, values_of
 from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error, upright_state
@@ -135,6 +138,27 @@ def test_late_fix_corrects_the_pose_and_one_that_is_no_measurement_is_refused(lo
         loop.send("pose_fix", GOAL, covariance, stamp)
         loop.graph.until(lambda number=number: counts["pose_fix refused"] == number)
     assert loop.error[0] < 0.01
+
+
+def test_no_pose_is_published_while_the_position_is_not_known(loop) -> None:
+    node, controller = loop.node, loop.controller
+    loop.graph.until(lambda: controller.controller.at_goal)
+    arrivals = loop.graph.collect(Bool, "controller/at_goal", LATCHED)
+    statuses = loop.graph.collect(DiagnosticStatus, "controller/status")
+    node.odometry.faults.see(Kind.LIFTED, math.inf, "given a vertical velocity of +0.3 m/s")
+    loop.graph.until(lambda: arrivals and not arrivals[-1].data)
+    loop.poses.clear()
+    loop.graph.until(lambda: loop.statuses[-1].level == DiagnosticStatus.ERROR)
+    assert loop.statuses[-1].message.startswith("lifted: given a vertical velocity of +0.3 m/s")
+    assert "no pose is published after that at [" in loop.statuses[-1].message
+    begun = loop.simulator.simulator.time
+    loop.graph.until(lambda: loop.simulator.simulator.time > begun + 1.0)
+    loop.graph.until(lambda: "/odometry reports lifted" in statuses[-1].message)
+    assert statuses[-1].level == DiagnosticStatus.ERROR and not loop.poses
+    loop.send("initialpose", pose_from_ros(loop.truths[-1]), RVIZ)
+    loop.graph.until(lambda: loop.poses)
+    assert not node.odometry.is_lost
+    loop.graph.until(lambda: arrivals[-1].data)
 
 
 def test_reading_of_what_is_not_measured_is_refused(loop) -> None:

@@ -179,7 +179,9 @@ class ControllerNode(ClockedNode):
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
             self._monitor.stamps.moved(now, deviation)
             newest = self.controller.estimator.newest
-            if newest is not None and self._schedule.is_overdue(now, newest[0]):
+            if newest is not None and self._schedule.is_overdue(
+                now - newest[0], bool(self._monitor.poses.reported)
+            ):
                 self._plan(self._schedule.request(now))
         self._monitor.check(
             now, clock.simulated, jump, self._settings.pose_timeout,

@@ -24,7 +24,7 @@ class PoseSource:
         self._reported = ""
 
     def reported_by(self, senders: Sequence[str]) -> str:
-        """Return what the one of `senders` reports as wrong, with its name; empty if it does not.
+        """Return for what the one of `senders` may have no poses, with its name; else "".
 
         Its status is read from the first call with it on, up to the first without.
         """
@@ -44,5 +44,5 @@ class PoseSource:
         return self._reported
 
     def _receive(self, name: str, status: DiagnosticStatus) -> None:
-        is_fault = status.level != DiagnosticStatus.OK
-        self._reported = f"{name} reports {printable_line(status.message)}" if is_fault else ""
+        has_poses = status.level in (DiagnosticStatus.OK, DiagnosticStatus.WARN)
+        self._reported = "" if has_poses else f"{name} reports {printable_line(status.message)}"

@@ -70,7 +70,14 @@ class ControllerNodeSettings(ControllerSettings):
 
 @dataclass(frozen=True)
 class OdometryNodeSettings(OdometrySettings):
-    """Settings of the odometry, and of the frames of its node."""
+    """Settings of the odometry, and of its node: the stored pose, and frames."""
+
+    pose_memory: float = quantity(
+        30.0, "s",
+        "Time after the end of an odometry within which a new one begins with its last pose, if "
+        "the sphere rested, rather than at initial_state; 0 is never",
+        minimum=0.0, maximum=3600.0,
+    )
 
     frame_prefix: str = quantity(
         "", "-", "Prefix of base_link in frame names; if empty, the node's namespace"

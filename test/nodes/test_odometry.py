@@ -82,8 +82,9 @@ class Loop:
 
 
 @pytest.fixture(scope="module")
-def loop() -> Iterator[Loop]:
+def loop(tmp_path_factory) -> Iterator[Loop]:
     with pytest.MonkeyPatch.context() as patch, running_graph() as graph:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))  # the stored pose
         # All nodes are served in turn: one that waits longer keeps the others waiting.
         patch.setattr(simulator_node, "_REPEAT_EVERY", 0.01)
         yield Loop(graph)

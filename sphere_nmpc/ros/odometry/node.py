@@ -6,6 +6,8 @@ subscribes  imu, joint_states, initialpose, pose_fix
 publishes   pose, odom, ~/status, /diagnostics
 """
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,10 +18,12 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.mounting import FixedFrames
 from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry.kept_pose import KeptPose, anywhere, pose_memory, since
 from sphere_nmpc.model.error_state import fixed_axes_covariance
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -32,6 +36,7 @@ from sphere_nmpc.ros.messages import stamp_from_ros, uncertain_pose_from_ros
 from sphere_nmpc.ros.odometry.reports import OdometryReports
 from sphere_nmpc.ros.pose_publisher import PosePublisher, frame_prefix
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
+from sphere_nmpc.ros.stored import Stored, stored_file
 
 _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For measurements of which none may be dropped while the node is held up, for half a second at
@@ -41,6 +46,8 @@ _DEPTH = 10
 """Poses kept for a subscriber that is slow."""
 _CHECK_EVERY = 0.25
 """Wall time between two checks of sensors and topics, and two statuses [s]."""
+_SAVE_EVERY = 1.0
+"""Wall time after which the pose is stored again [s]."""
 _NOT_MEASURED = -1.0
 """First element of a covariance of sensor_msgs/Imu whose quantity is not measured."""
 
@@ -74,6 +81,16 @@ class OdometryNode(ClockedNode):
         self._mounted: str | None = None if self._frames else ""
         """Frame whose mounting is in force; None before the first, "" where there is none."""
         self._given: tuple[Vector, Vector | None] | None = None
+        keep = self._settings.pose_memory
+        self._stored = Stored(
+            pose_memory(stored_file(self, "pose"), keep) if keep > 0.0 else None,
+            self._control_clock, self._fault_log, "pose", "at initial_state",
+        )
+        self._recalled: tuple[KeptPose, float] | None = None
+        """Pose of the last run, and its age [s, wall], until a calibration has checked it."""
+        self._saved_at, self._was_at_rest = -math.inf, False
+        self._angles: Vector | None = None
+        """Newest angles of the rotors [rad], shape (2,)."""
         self._epoch: int | None = None
         self._sent: list[tuple[Any, Any]] = []
         self._sent_stamp = -1
@@ -116,6 +133,8 @@ class OdometryNode(ClockedNode):
                     f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
                     f"stands for an IMU that does not measure the {name}",
                 )
+        if not self._stored.is_settled:
+            self._recall()
         if self._mounted is None and self._frames is not None:
             self._mount(frame, self._frames)
         elif self._mounted not in ("", frame):
@@ -147,12 +166,58 @@ class OdometryNode(ClockedNode):
         angles, speeds, _ = found
         if not np.isfinite(speeds).all():
             raise InvalidInputError("rotor speeds", speeds.tolist(), "finite numbers [rad/s]")
-        known = angles if np.isfinite(angles).all() else None
+        known = self._angles = angles if np.isfinite(angles).all() else None
         if self.odometry.observe_rotors(self._time(joints.stamp), speeds, known):
             self._publish()
 
+    def _recall(self) -> None:
+        """Begin with the last pose of an odometry that ended lately, if there is one."""
+        self._recalled = self._stored.restore()
+        if self._recalled is None:
+            return
+        kept, age = self._recalled
+        radius = self._robot.shell_radius
+        self._given = kept.pose, since(kept, age, self._settings.pivoting, radius)
+        self.odometry.set_pose(0.0, *self._given)
+        self._event_log.report(
+            "pose", f"begins with that of {age:.0f} s ago (pose_memory), if it still holds"
+        )
+
+    def _check_recalled(self, kept: KeptPose, age: float) -> None:
+        """Compare the pose of the last run with what the calibration has found."""
+        estimate = self.odometry.estimate
+        if estimate is None:
+            return
+        self._recalled = None
+        contradiction = kept.contradiction(age, estimate, self._angles)
+        if contradiction and not self.odometry.fixes_used:
+            self.odometry.set_pose(estimate.time, estimate.pose, anywhere(estimate))
+            self.odometry.faults.see(
+                Kind.POSITION_UNKNOWN, estimate.time, f"{contradiction}; the position is not "
+                "known until pose_fix or initialpose tells it",
+            )
+
+    def _save(self) -> None:
+        """Store the pose, at once where the sphere begins to move."""
+        estimate, wall = self.odometry.estimate, time.monotonic()
+        if estimate is None or self._recalled is not None:
+            return
+        at_rest = not (estimate.body_rate.any() or self.odometry.is_lost)
+        if wall < self._saved_at + _SAVE_EVERY and at_rest is self._was_at_rest:
+            return
+        self._saved_at, self._was_at_rest = wall, at_rest
+        self._stored.save(KeptPose(estimate.pose, estimate.covariance, at_rest, self._angles))
+
+    def finish(self) -> None:
+        """Store the last pose."""
+        self._saved_at = -math.inf
+        self._save()
+        self._stored.close()
+
     def _publish(self) -> None:
         """Publish the newest estimate, with the stamp of its reading, while it is known."""
+        if self._recalled is not None:
+            self._check_recalled(*self._recalled)
         estimate, radius = self.odometry.estimate, self._robot.shell_radius
         if estimate is None or self._epoch is None or self.odometry.is_lost:
             self._sent = []
@@ -173,6 +238,8 @@ class OdometryNode(ClockedNode):
     def _set_pose(self, message: PoseWithCovarianceStamped) -> None:
         """Take a pose as that of now: the stamp of who gives it is that of another clock."""
         self._given = uncertain_pose_from_ros(message, self._frame)
+        self._stored.supersede()
+        self._recalled = None
         estimate = self.odometry.estimate
         now = self._time(self._control_clock.stamp()) if estimate is None else estimate.time
         self.odometry.set_pose(now, *self._given)
@@ -190,7 +257,8 @@ class OdometryNode(ClockedNode):
         self._publish_if_found()
 
     def _publish_if_found(self) -> None:
-        """Publish at once where no pose was published of the newest reading."""
+        """Publish at once where no pose was published of the newest reading; store the next."""
+        self._saved_at = -math.inf
         if not self._sent:
             self._publish()
 
@@ -198,6 +266,7 @@ class OdometryNode(ClockedNode):
         if self._epoch is not None:
             self.odometry.check(self._time(self._reports.imu.heard_until()))
         self._reports.update(self.odometry)
+        self._save()
         self._event_log.flush()
 
     def _clock_jumped(self, _: bool) -> None:

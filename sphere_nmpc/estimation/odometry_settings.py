@@ -5,6 +5,7 @@
 from dataclasses import dataclass, replace
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.model.state import DEFAULT_START
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
@@ -14,9 +15,9 @@ class OdometrySettings:
     """Start of the odometry, uncertainty of the robot's parameters, and use of fixes."""
 
     initial_state: tuple[float, ...] = quantity(
-        (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), "m, -",
-        "Pose at the start: x, y, then the quaternion w, x, y, z; a tilt that gravity contradicts "
-        "is replaced by the measured one",
+        DEFAULT_START, "m, -",
+        "Pose at the start: x, y, then the quaternion w, x, y, z, by default that of the "
+        "simulator; a tilt that gravity contradicts is replaced by the measured one",
         minimum=-1e6, maximum=1e6,
     )
     position_deviation: float = quantity(

@@ -73,6 +73,10 @@ class ImuSensor(SampledSensor[ImuReading]):
         """Velocity of its place [m/s; world frame] and orientation at the reading before."""
         self._step = settings.gyro_bias_walk * math.sqrt(self.period / NANOSECONDS)
 
+    def reset(self) -> None:
+        """Forget how the plant has moved, as it is put elsewhere."""
+        self._before = None
+
     def sample(self, now: int, plant: Plant) -> None:
         """Read the plant at this instant."""
         drawn = self._random.normal(size=9)

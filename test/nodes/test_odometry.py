@@ -15,6 +15,7 @@ from patience import LOCKSTEP
 from ros_graph import Graph, running_graph, values_of
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
@@ -34,6 +35,7 @@ pytestmark = pytest.mark.slow
 START = upright_state(1.0, -0.5, 0.4)
 IMU = ImuSettings(position=(0.12, -0.05, 0.1), orientation=(0.5, 0.5, -0.5, 0.5))
 GOAL = upright_state(1.6, 0.2, 1.0)
+BACK = upright_state(1.0, -0.2, 0.0)
 RVIZ = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.0685]).ravel()
 """Covariance that RViz sends by default."""
 
@@ -168,6 +170,23 @@ def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
     loop.graph.publisher(Imu, "imu").publish(reading)
     loop.graph.until(lambda: loop.node._fault_log.counts["imu refused"])
     assert loop.error[0] < 0.01
+
+
+def test_reset_of_the_simulator_in_motion_begins_both_anew(loop) -> None:
+    begun = loop.simulator.simulator.time
+    loop.graph.publisher(PoseStamped, "goal_pose").publish(
+        pose_to_ros(BACK, round(begun * 1e9) + 1, 0.3)
+    )
+    loop.graph.until(lambda: np.abs(loop.simulator.simulator.plant.rotor_speeds).max() > 20.0)
+    answer = loop.graph.call(Trigger, "simulator/reset", Trigger.Request())
+    assert answer.success and answer.message.endswith("the odometry begins anew")
+    begun = loop.simulator.simulator.time
+    loop.graph.until(lambda: not loop.node.odometry.is_calibrated)
+    loop.poses.clear()
+    loop.graph.until(lambda: len(loop.poses) > 5)
+    first = stamp_from_ros(loop.poses[0].header.stamp) * 1e-9
+    assert first > begun + 1.5 and loop.error < (2e-3, 1e-2)
+    assert position_error(pose_from_ros(loop.poses[0]), START) < 2e-3
 
 
 def test_reading_that_is_repeated_while_time_stands_still_gives_its_pose_again(loop) -> None:

@@ -1,14 +1,21 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where an odometry node begins that is started again, and after a jump of its clock."""
+"""Where an odometry node begins that is started again or reset, and after a jump of its clock."""
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from robot_at_rest import RobotAtRest
+from robot_at_rest import STEP, RobotAtRest
+from std_srvs.srv import Trigger
 
 from sphere_nmpc.conditions import ERROR, OK
-from sphere_nmpc.model.state import Vector, angle_error, position_error, upright_state
+from sphere_nmpc.model.state import (
+    DEFAULT_START,
+    Vector,
+    angle_error,
+    position_error,
+    upright_state,
+)
 from sphere_nmpc.ros.messages import pose_to_ros
 
 PLACE = upright_state(1.2, -0.4, 0.7)
@@ -125,3 +132,26 @@ def test_initial_state_holds_without_a_last_pose(robot, parameters) -> None:
     robot.start(initial_state=PLACE.tolist(), **parameters)
     robot.stay(3.0)
     assert is_at_place(robot)
+
+
+def test_simulation_that_starts_again_has_the_sphere_at_its_start(robot) -> None:
+    robot.now = 0
+    robot.poses.clear()
+    robot.stay(1.5)
+    assert not robot.poses
+    robot.stay(2.0)
+    assert robot.poses and robot.status[0] == OK
+    assert position_error(robot.node.odometry.estimate.pose, np.array(DEFAULT_START)) < 1e-3
+
+
+def test_reset_leaves_out_what_was_measured_before(robot) -> None:
+    robot.node._reset(Trigger.Request(), Trigger.Response())
+    robot.poses.clear()
+    robot.now -= 50 * STEP
+    robot.rate = np.array([3.0, 0.0, 0.0])
+    for _ in range(50):  # still on their way
+        robot.send()
+    robot.rate = np.zeros(3)
+    robot.stay(2.5)
+    assert robot.poses and robot.status[0] == OK
+    assert position_error(robot.node.odometry.estimate.pose, np.array(DEFAULT_START)) < 1e-3

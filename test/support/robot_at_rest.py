@@ -62,21 +62,24 @@ class RobotAtRest:
 
     def stay(self, duration: float, imu: Stamp = exact, joints: Stamp = exact) -> None:
         """Let a time pass [s]."""
-        node = self.node
         for _ in range(round(100 * duration)):
-            self.now += STEP
-            number = self.now // STEP
-            noise = self._random.normal(size=(2, 3)) * [[1e-3], [1e-2]]
-            node._control_clock.hear(clock_message(self.now))
-            self._give(node._receive_imu, imu_message(
-                noise[0] + self.rate, noise[1] + self.gravity, np.array([1e-3, 1e-2]),
-                imu(number, self.now), "imu",
-            ))
-            self._give(node._receive_joints, joint_states_message(
-                self.angles, np.zeros(2), np.zeros(2), joints(number, self.now)
-            ))
-            if number % 25 == 0:
-                node._check()
+            self.node._control_clock.hear(clock_message(self.now + STEP))
+            self.send(imu, joints)
+            if self.now // STEP % 25 == 0:
+                self.node._check()
+
+    def send(self, imu: Stamp = exact, joints: Stamp = exact) -> None:
+        """Send what is measured next."""
+        self.now += STEP
+        number = self.now // STEP
+        noise = self._random.normal(size=(2, 3)) * [[1e-3], [1e-2]]
+        self._give(self.node._receive_imu, imu_message(
+            noise[0] + self.rate, noise[1] + self.gravity, np.array([1e-3, 1e-2]),
+            imu(number, self.now), "imu",
+        ))
+        self._give(self.node._receive_joints, joint_states_message(
+            self.angles, np.zeros(2), np.zeros(2), joints(number, self.now)
+        ))
 
     def _give(self, receive: Callable[[bytes], None], message: bytes) -> None:
         try:

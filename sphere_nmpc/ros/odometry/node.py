@@ -4,6 +4,7 @@
 
 subscribes  imu, joint_states, initialpose, pose_fix
 publishes   pose, odom, ~/status, /diagnostics
+services    ~/reset
 """
 
 import math
@@ -17,6 +18,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
+from std_srvs.srv import Trigger
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError
@@ -109,6 +111,7 @@ class OdometryNode(ClockedNode):
             self.create_subscription(
                 PoseWithCovarianceStamped, topic, take, _FEW, event_callbacks=NO_EVENTS
             )
+        self.create_service(Trigger, "~/reset", self._reset)
         self.create_wall_timer(_CHECK_EVERY, self._check)
 
     @property
@@ -269,10 +272,34 @@ class OdometryNode(ClockedNode):
         self._save()
         self._event_log.flush()
 
-    def _clock_jumped(self, _: bool) -> None:
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Serve a robot, or a simulator, that is at its start again."""
+        for stream in (self._reports.imu, self._reports.joints):
+            stream.begin_anew()
+        self._begin_anew()
+        response.success, response.message = True, "begins anew at initial_state"
+        self._event_log.report("reset", response.message)
+        return response
+
+    def _begin_anew(self) -> None:
+        """Forget all, and begin at `initial_state` with a calibration."""
+        self._stored.supersede()
+        self._stored.save(None)
+        self._recalled = self._given = self._epoch = None
+        self._sent, self._sent_stamp = [], -1
+        self._mounted = None if self._frames else ""
+        self.odometry = Odometry(self._settings, self._imu, self._robot)
+
+    def _clock_jumped(self, changed: bool) -> None:
+        """Begin anew where simulated time does, else keep the pose."""
+        clock = self._control_clock
+        if clock.simulated and not changed:  # it jumps back only
+            self._event_log.report("clock", "goes back; begins anew at initial_state")
+            self._begin_anew()
+            return
         self._event_log.report("clock", "shows another time; the pose stays, motion is lost")
         self.odometry.forget()
-        self._epoch, self._sent_stamp = None, -1
+        self._epoch, self._sent, self._sent_stamp = None, [], -1
 
 
 _ABOUT = f"""{__doc__}

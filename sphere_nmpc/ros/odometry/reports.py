@@ -57,7 +57,12 @@ class Stream:
         self._gaps = Recent()
         self.newest = 0
         """Newest stamp [ns]."""
+        self._outdated = -1
         self._seen = 0
+
+    def begin_anew(self) -> None:
+        """Leave out what was measured until now, which may not have been received yet."""
+        self._outdated, self.newest = self._clock.stamp(), 0
 
     def received(self, stamp: int, numbers: Vector) -> bool:
         """Record a message with a stamp [ns]; return whether that may be a time of measurement.
@@ -70,7 +75,7 @@ class Stream:
         now = self._clock.stamp()
         age = (now - stamp) / NANOSECONDS
         self._messages.received(age, stamp)
-        if self._clock.now() is None or age < -OTHER_CLOCK_AGE:
+        if self._clock.now() is None or age < -OTHER_CLOCK_AGE or stamp <= self._outdated:
             return False
         if age < -_LATE:
             given = Description(f"{-age:.6g} s ahead of this node's clock")

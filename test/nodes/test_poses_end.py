@@ -64,3 +64,21 @@ def test_goal_is_left_when_the_clock_goes_back(graph, lockstep) -> None:
     one.now = 0
     one.until(False, has_poses=False)
     one.until(True, has_poses=True)
+
+
+def test_status_of_the_one_source_of_poses_is_told_also_beside_itself_when_it_was_killed(
+    graph
+) -> None:
+    source = graph.start(ControllerNode)._monitor._pose_source
+    status = graph.probe.create_publisher(DiagnosticStatus, "probe/status", LATCHED)
+    status.publish(DiagnosticStatus(level=DiagnosticStatus.STALE, message="wai\nting"))
+    for senders in (["/probe"], ["/probe", "/probe"]):
+        graph.until(lambda senders=senders: (
+            source.reported_by(senders) == "/probe reports wai\\nting"
+        ))
+    assert source.reported_by(["/probe", "/other"]) == source.reported_by(["/probe"]) == ""
+    status.publish(DiagnosticStatus(level=DiagnosticStatus.WARN, message="slipped"))
+    graph.until(lambda: source._subscription is not None)
+    graph.spin_for(0.2)
+    assert source.reported_by(["/probe"]) == "", "it may have poses"
+    assert source.reported_by([]) == "" and source._subscription is None

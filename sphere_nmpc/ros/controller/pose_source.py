@@ -28,7 +28,8 @@ class PoseSource:
 
         Its status is read from the first call with it on, up to the first without.
         """
-        name = senders[0] if len(senders) == 1 else UNKNOWN
+        # One that was killed is counted beside the one that takes its place.
+        name = senders[0] if len(set(senders)) == 1 else UNKNOWN
         topic = "" if name in (UNKNOWN, INVALID) else f"{name}/status"
         held = self._subscription
         if held is not None and held.topic_name != topic:

@@ -1,12 +1,18 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps of readings and rotor speeds that the odometry node cannot use, and what it reports."""
+"""Stamps and descriptions that the odometry node cannot use, and what it reports."""
+
+from xml.etree.ElementTree import Element
 
 import pytest
+from rclpy.parameter import Parameter
 from robot_at_rest import STEP, RobotAtRest, exact
 
 from sphere_nmpc.conditions import ERROR, OK
+from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.estimation import mounting
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.odometry.node import OdometryNode
 
 AHEAD = 1000 * NANOSECONDS
 
@@ -77,3 +83,23 @@ def test_stamps_of_bunches_are_told_before_the_calibration_that_waits_for_better
     robot.stay(3.0, imu, joints)
     message = robot.status[1]
     assert message.startswith("inexact stamps: given") and f"% of the {told} less than" in message
+
+
+def test_description_is_read_once_at_the_start_and_one_that_is_none_is_no_start(
+    graph, monkeypatch
+) -> None:
+    read: list[str] = []
+    parse = mounting.ElementTree.fromstring
+
+    def counted(text: str) -> Element:
+        read.append(text)
+        return parse(text)
+
+    monkeypatch.setattr(mounting.ElementTree, "fromstring", counted)
+    with pytest.raises(InvalidParameterError, match=r"robot_description: given 'robot\.urdf'"):
+        OdometryNode([Parameter("robot_description", value="robot.urdf")])
+    robot = RobotAtRest(graph)
+    robot.start(robot_description='<robot name="sphere"><link name="base_link"/></robot>')
+    robot.stay(0.5)
+    assert len(read) == 2
+    assert len(robot.refused) == 50 and robot.refused[0].startswith("frame: given 'imu'")

@@ -1,12 +1,22 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of this user alone, for files that are kept between runs."""
+"""Folders of this user alone, and files in them that a run keeps for the next one."""
 
 import contextlib
+import json
 import os
 import stat
 import tempfile
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from sphere_nmpc.foreign_file import read_file
+
+T = TypeVar("T")
+_MOST_BYTES = 1_000_000
+"""Size of a kept file: several times that of the longest list of goals."""
 
 
 def has_home() -> bool:
@@ -50,3 +60,65 @@ def own_folder(folder: Path) -> Path:
     raise OSError(
         f"{folder}: given {given}, expected one of user {os.geteuid()} with mode 700; remove it"
     )
+
+
+class KeptFile(Generic[T]):
+    """File with what a run knew last, and when; the next one takes it up.
+
+    It does so only if it begins soon after the end of that run and on the same clock, which must
+    not have been set back: a simulation that starts again has no past.
+
+    Parameters
+    ----------
+    path : Path
+        The file, in a folder of this user alone, see `own_folder`.
+    keep : float
+        Time after the end of a run within which it is taken up [s, wall].
+    content_of, read : callable
+        Return what is written of a value, and the value of what was read, whatever that is;
+        errors of `read` of the kinds of Python's own lookups and conversions count as no value.
+    """
+
+    def __init__(
+        self, path: Path, keep: float, content_of: Callable[[T], Mapping[str, Any]],
+        read: Callable[[Any], T],
+    ) -> None:
+        self._path, self._keep = path, keep
+        self._content_of, self._read = content_of, read
+
+    def save(self, value: T | None, stamp: int, simulated: bool) -> None:
+        """Write what is known at `stamp` [ns]; without anything delete the last.
+
+        `simulated` says whether the stamp is of simulated time or of the system clock.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
+        """
+        own_folder(self._path.parent)
+        if value is None:
+            self._path.unlink(missing_ok=True)
+            return
+        # A process that is killed while it writes must leave the old file or the new one intact.
+        fresh = self._path.with_suffix(f".{os.getpid()}")
+        content = {**self._content_of(value), "stamp": stamp, "simulated": simulated}
+        fresh.write_text(json.dumps(content), encoding="ascii")
+        fresh.replace(self._path)
+
+    def recall(self, stamp: int, simulated: bool) -> tuple[T, float] | None:
+        """Return what a run that ended recently knew, and the time since [s, wall].
+
+        None if there is nothing, if it ended too long ago, or if the clock, which now shows
+        `stamp` [ns], is another one or has been set back. OSError is raised if the folder may
+        contain files of others.
+        """
+        own_folder(self._path.parent)
+        try:
+            age = max(0.0, time.time() - self._path.stat().st_mtime)
+            content = json.loads(read_file(self._path, _MOST_BYTES))
+            value, then = self._read(content), int(content["stamp"])
+        except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError):
+            return None
+        is_same_clock = content.get("simulated") is simulated and then <= stamp
+        return (value, age) if is_same_clock and age <= self._keep else None

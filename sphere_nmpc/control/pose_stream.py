@@ -105,18 +105,19 @@ class PoseGate:
 
 
 class StampWatch:
-    """Monitor of stamps that cannot be the times at which poses were measured."""
+    """Monitor of stamps that cannot be times of measurement; `plural` names what is measured."""
 
-    def __init__(self) -> None:
+    def __init__(self, plural: str = "poses") -> None:
+        self._plural = plural
         self._newest: tuple[float, Vector] = (math.nan, np.empty(0))
         self._gaps = Recent()
         self._deviation, self._exact_at = 0.0, math.inf
         """What is told [s], and the last time at which there was nothing to be told [s]."""
 
-    def received(self, stamp: float, pose: Vector) -> None:
-        """Record a pose, shape (6,), and its stamp [s]; a copy of the one before counts as it."""
-        (before, same), self._newest = self._newest, (stamp, pose)
-        if stamp > before or (stamp == before and not np.array_equal(pose, same)):
+    def received(self, stamp: float, measured: Vector) -> None:
+        """Record what was measured, and its stamp [s]; a copy of the one before counts as it."""
+        (before, same), self._newest = self._newest, (stamp, measured)
+        if stamp > before or (stamp == before and not np.array_equal(measured, same)):
             self._gaps.append(stamp - before)
 
     def moved(self, time: float, deviation: float) -> None:
@@ -135,17 +136,17 @@ class StampWatch:
         if same > _SHARE:
             return Condition(
                 Kind.INEXACT_STAMPS,
-                f"given {100.0 * same:.0f} % of the poses with the same stamp as the one before, "
-                "expected the time of measurement of each: is the clock that stamps them coarse? "
-                "All but the first are dropped",
+                f"given {100.0 * same:.0f} % of the {self._plural} with the same stamp as the one "
+                "before, expected the time of measurement of each: is the clock that stamps them "
+                "coarse? All but the first are dropped",
             )
         if close > _SHARE:
             return Condition(
                 Kind.INEXACT_STAMPS,
-                f"given {100.0 * close:.0f} % of the poses less than {1e3 * short:.2g} ms "
-                f"after the one before, at {1.0 / mean:.3g} Hz, expected the times of "
-                "measurement: poses are stamped where they are measured, not where bunches of "
-                "them are passed on",
+                f"given {100.0 * close:.0f} % of the {self._plural} less than {1e3 * short:.2g} "
+                f"ms after the one before, at {1.0 / mean:.3g} Hz, expected the times of "
+                f"measurement: {self._plural} are stamped where they are measured, not where "
+                "bunches of them are passed on",
             )
         if not self._deviation:
             return None

@@ -176,6 +176,13 @@ class Schedule:
         self._took.append(self._late + duration * (self._watch.pace or 1.0))
         self.starting = self.starting and not solved
 
+    def is_overdue(self, age: float, are_ended: bool) -> bool:
+        """Return whether to plan though nothing triggers it, as poses do in lockstep.
+
+        `age` is that of the newest pose [s]; `are_ended` whether who publishes them says so.
+        """
+        return False
+
     def request(self, now: float) -> PlanRequest:
         """Return a request for control time `now` [s], whatever the grid."""
         return self._request(now, now, 0.0)
@@ -229,6 +236,13 @@ class LockstepSchedule(Schedule):
             return False
         self.answered = pose.stamp
         return True
+
+    def is_overdue(self, age: float, are_ended: bool) -> bool:
+        """Return whether no pose is to be expected of an instant at which the simulator waits.
+
+        Otherwise one may be late, or time has gone on without.
+        """
+        return are_ended or age > max(self._pose_timeout, self._period)
 
     def request(self, now: float) -> PlanRequest:
         """Return a request for control time `now` [s], without a limit of time."""

@@ -11,44 +11,51 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
 
 
-def mounting(description: str, frame: str, body: str) -> tuple[Vector, Vector]:
-    """Return place [m; body frame], shape (3,), and quaternion wxyz, (4,), of a frame of a robot.
+class FixedFrames:
+    """Frames that fixed joints join to a robot, by its description as URDF.
 
-    Fixed joints have to lead from the link `body` of the URDF to that of the frame. The quaternion
-    takes vectors in the frame to the body frame. A description that cannot be read raises
-    `InvalidParameterError`, a frame without such a chain `InvalidInputError`.
+    `InvalidParameterError` is raised for a description that cannot be read.
     """
-    try:
-        parents: dict[str, tuple[str, Vector, Vector]] = {}
-        for joint in ElementTree.fromstring(description).iterfind("joint[@type='fixed']"):
-            origin = joint.find("origin")
-            given = {} if origin is None else origin.attrib
-            xyz, rpy = (
-                np.array([float(word) for word in given.get(name, "0 0 0").split()]).reshape(3)
-                for name in ("xyz", "rpy")
-            )
-            parent, child = (joint.find(end).attrib["link"]  # type: ignore[union-attr]
-                             for end in ("parent", "child"))
-            parents[child] = parent, xyz, rpy
-    except (ElementTree.ParseError, AttributeError, KeyError, ValueError) as error:
-        raise InvalidParameterError(
-            "robot_description", description, f"a robot as URDF ({error})"
-        ) from None
-    place: Vector = np.zeros(3)
-    turn: Vector = np.array([1.0, 0.0, 0.0, 0.0])
-    link = frame
-    left = dict(parents)
-    while link != body:
-        if link not in left:
-            fixed = ", ".join(sorted(parents)) or "none"
-            raise InvalidInputError(
-                "frame", frame, f"{body}, or a link that fixed joints of robot_description join "
-                f"to it; fixed links are {fixed}",
-            )
-        link, offset, angles = left.pop(link)  # each once: joints may lead in a circle
-        own = _turn(angles)
-        place, turn = offset + rotation.matrix(own) @ place, rotation.product(own, turn)
-    return place, turn
+
+    def __init__(self, description: str) -> None:
+        self._parents: dict[str, tuple[str, Vector, Vector]] = {}
+        try:
+            for joint in ElementTree.fromstring(description).iterfind("joint[@type='fixed']"):
+                origin = joint.find("origin")
+                given = {} if origin is None else origin.attrib
+                xyz, rpy = (
+                    np.array([float(word) for word in given.get(name, "0 0 0").split()]).reshape(3)
+                    for name in ("xyz", "rpy")
+                )
+                parent, child = (joint.find(end).attrib["link"]  # type: ignore[union-attr]
+                                 for end in ("parent", "child"))
+                self._parents[child] = parent, xyz, rpy
+        except (ElementTree.ParseError, AttributeError, KeyError, ValueError) as error:
+            raise InvalidParameterError(
+                "robot_description", description, f"a robot as URDF ({error})"
+            ) from None
+
+    def mounting(self, frame: str, body: str) -> tuple[Vector, Vector]:
+        """Return place [m; body frame], shape (3,), and quaternion wxyz, (4,), of a frame.
+
+        Fixed joints have to lead from the link `body` to that of the frame; `InvalidInputError` is
+        raised where they do not. The quaternion takes vectors in the frame to the body frame.
+        """
+        place: Vector = np.zeros(3)
+        turn: Vector = np.array([1.0, 0.0, 0.0, 0.0])
+        link = frame
+        left = dict(self._parents)
+        while link != body:
+            if link not in left:
+                fixed = ", ".join(sorted(self._parents)) or "none"
+                raise InvalidInputError(
+                    "frame", frame, f"{body}, or a link that fixed joints of robot_description "
+                    f"join to it; fixed links are {fixed}",
+                )
+            link, offset, angles = left.pop(link)  # each once: joints may lead in a circle
+            own = _turn(angles)
+            place, turn = offset + rotation.matrix(own) @ place, rotation.product(own, turn)
+        return place, turn
 
 
 def _turn(rpy: Vector) -> Vector:

@@ -28,6 +28,8 @@ POSE_SIZE, STATE_SIZE = POSE.stop, MOMENTUM.stop
 NO_MOMENTUM: Vector = np.zeros(3)
 NO_MOMENTUM.flags.writeable = False
 
+DEFAULT_START = 2.0, -3.0, 0.03, 0.454, 0.88, 0.1363
+"""Pose at which simulator and odometry begin where none is given: that of case 1 of the paper."""
 FARTHEST = 1e6
 """Largest coordinate of a position [m]; far beyond it sums and squares lose what is near."""
 

@@ -40,7 +40,7 @@ class Source:
     topic: str
     """Its relative name."""
     effect: str
-    """What several publishers of it cause."""
+    """What several publishers of it cause; empty where there may be several."""
     patience: str = ""
     """What else helps where they are late."""
 
@@ -52,36 +52,63 @@ POSES = Source(
 )
 
 
-class InputMonitor:
-    """Monitor of the silence of clock and source, which logs the faults around a node."""
+class StampedInput:
+    """Messages of a source: since when there are none, and the best stamp since a check."""
 
-    def __init__(self, node: Node, fault_log: FaultLog, source: Source) -> None:
+    def __init__(self, source: Source, topic: str) -> None:
+        self.source, self.topic = source, topic
+        self.seen_at = time.monotonic()
+        """Wall time of the last check before which there were messages [s]."""
+        self.age, self.has_stamp = math.nan, True
+        """Age nearest to 0 [s] of those before that check, one of which has a stamp other than 0:
+        of another clock are those whose stamps are all wrong."""
+        self.reported = ""
+        """What the node that publishes them reports as wrong."""
+        self._received = False
+
+    def received(self, age: float, stamp: int) -> None:
+        """Record a message with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
+        if not self._received:
+            self._received, self.age, self.has_stamp = True, age, stamp != 0
+            return
+        self.has_stamp = self.has_stamp or stamp != 0
+        if not abs(age) >= abs(self.age):
+            self.age = age
+
+    def checked(self, wall: float) -> None:
+        """Begin anew at a check, at wall time `wall` [s]."""
+        if self._received:
+            self._received, self.seen_at = False, wall
+
+
+class InputMonitor:
+    """Monitor of clock and sources, which logs the faults around a node.
+
+    The silence of the first source is a fault; of all their stamps have to be of the node's clock.
+    """
+
+    def __init__(self, node: Node, fault_log: FaultLog, *sources: Source) -> None:
         self._fault_log = fault_log
-        self._source = source
         self.graph = GraphMonitor(node, fault_log)
         """Monitor of the graph, for further faults."""
-        self.topic = node.resolve_topic_name(source.topic)
-        """Full name of the topic of the source."""
+        self.inputs = [
+            StampedInput(source, node.resolve_topic_name(source.topic)) for source in sources
+        ]
+        """Messages of the sources."""
+        self.topic = self.inputs[0].topic
+        """Full name of the topic of the first source."""
         self._clock_topic = node.resolve_topic_name("/clock")
         self.time = math.nan
         """Control time at the last check [s]; nan before the first message on /clock."""
         self.stands_still = False
         """Whether control time was the same at the check before."""
-        self._has_stamp = True
-        self._time_changed_at = self._seen_at = time.monotonic()
-        self._age = math.nan
+        self._time_changed_at = self._compared_at = time.monotonic()
         self._incompatible: list[Condition] = []
-        self._compared_at = self._seen_at
-        self._received = False
 
     @property
     def faults(self) -> tuple[Condition, ...]:
         """The present faults, the worst first."""
         return self.graph.faults
-
-    def received(self, age: float, stamp: int) -> None:
-        """Record a message with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
-        self._received, self._age, self._has_stamp = True, age, stamp != 0
 
     def update(
         self, now: float | None, follows_clock: bool, timeout: float, further: Sequence[Condition]
@@ -95,26 +122,30 @@ class InputMonitor:
         self.stands_still = self.time == before
         if now is not None and not self.stands_still:
             self._time_changed_at = wall
-        # Measured at the same checks, clock and messages of a simulator that ends are silent for
-        # the same time.
-        if self._received:
-            self._received, self._seen_at = False, wall
         # All topics are searched only where the clock that is followed has no publisher.
         clocks = graph.publishers(self._clock_topic, Clock)
         others = graph.clock_topics() if follows_clock and not clocks else []
-        found = find_faults(
-            GraphState(
-                follows_clock, self.time, wall - self._time_changed_at, wall - self._seen_at,
-                self._age, timeout, clocks, graph.publishers(self.topic, self._source.message),
-                self._clock_topic, self.topic, others, self._has_stamp, self._source,
-            )
-        )
+        found: list[Condition] = []
+        for one in self.inputs:
+            # Measured at the same checks, clock and messages of a simulator that ends are silent
+            # for the same time.
+            one.checked(wall)
+            if one is not self.inputs[0] and wall - one.seen_at >= SILENCE_LIMIT:
+                continue
+            told = find_faults(GraphState(
+                follows_clock, self.time, wall - self._time_changed_at, wall - one.seen_at,
+                one.age, timeout, clocks, graph.publishers(one.topic, one.source.message),
+                self._clock_topic, one.topic, others, one.has_stamp, one.source, one.reported,
+            ))
+            names = {fault.name for fault in found}
+            found += [fault for fault in told if fault.name not in names]
         # A comparison of all profiles takes longer than a tick, and before the first one a
         # publisher of another type may be the only one that has been discovered.
         if wall >= self._compared_at + SILENCE_LIMIT:
             self._compared_at, self._incompatible = wall, graph.incompatible()
         if any(fault.subject == self.topic for fault in self._incompatible):
-            found = [fault for fault in found if fault.kind is not self._source.missing]
+            missing = self.inputs[0].source.missing
+            found = [fault for fault in found if fault.kind is not missing]
         names = {fault.name for fault in found}
         further = [fault for fault in further if fault.name not in names]
         graph.update([*self._incompatible, *found, *further])
@@ -145,16 +176,19 @@ class GraphState:
     has_stamp: bool = True
     """Whether the newest message has a stamp other than 0."""
     source: Source = POSES
+    reported: str = ""
+    """What the node that publishes the messages reports as wrong."""
 
 
 def find_faults(seen: GraphState) -> list[Condition]:
     """Return the faults of clock and source around a node."""
     found = _no_time(seen) or _no_message(seen) or _wrong_clock(seen)
     clocks = seen.clocks if seen.follows_clock else ()
+    senders = seen.senders if seen.source.effect else ()
     return [
         *([found] if found else []),
         *several_publishers(seen.clock_topic, clocks, CLOCK_EFFECT),
-        *several_publishers(seen.topic, seen.senders, seen.source.effect),
+        *several_publishers(seen.topic, senders, seen.source.effect),
     ]
 
 
@@ -201,7 +235,8 @@ def _no_message(seen: GraphState) -> Condition | None:
     remedy = f"{source.remedy}, or remap, -r {source.topic}:=/its/topic"
     if seen.senders:
         given = f"a publisher of {seen.topic} ({seen.senders[0]}) but none of its messages"
-        remedy = f"'ros2 topic info -v {seen.topic}' shows its quality of service"
+        quality = f"'ros2 topic info -v {seen.topic}' shows its quality of service"
+        remedy = seen.reported or quality
     return Condition(
         source.missing,
         f"given {given} for {SILENCE_LIMIT:g} s, expected {source.rate}; {remedy}",
@@ -211,8 +246,7 @@ def _no_message(seen: GraphState) -> Condition | None:
 def _wrong_clock(seen: GraphState) -> Condition | None:
     """Return the fault of a source that is stamped on another clock than the node's."""
     age, plural = seen.age, seen.source.plural
-    # A single one ahead of the clock is refused and logged by itself; nan is before the first.
-    if not (age > seen.timeout or age < -OTHER_CLOCK_AGE):
+    if not abs(age) > seen.timeout:  # nan is before the first
         return None
     if seen.follows_clock and seen.clock_silence >= SILENCE_LIMIT:
         return None  # paused
@@ -235,8 +269,9 @@ def _wrong_clock(seen: GraphState) -> Condition | None:
             )
     elif seen.follows_clock and age < -OTHER_CLOCK_AGE:
         remedy = "they are on the system clock: start this node with -p use_sim_time:=false"
+    side = "behind" if age > 0.0 else "ahead of"
     return Condition(
         kind,
-        f"given {plural} with stamps {abs(age):.3g} s {'behind' if age > 0.0 else 'ahead of'} "
-        f"this node's clock, expected at most {seen.timeout:g} s; {remedy}",
+        f"given {plural} on {seen.topic} with stamps {abs(age):.3g} s {side} this node's clock, "
+        f"expected at most {seen.timeout:g} s; {remedy}",
     )

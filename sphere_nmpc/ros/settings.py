@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.state import DEFAULT_START
 from sphere_nmpc.quantity import quantity, validate
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import ControllerSettings
@@ -70,7 +71,20 @@ class ControllerNodeSettings(ControllerSettings):
 
 @dataclass(frozen=True)
 class OdometryNodeSettings(OdometrySettings):
-    """Settings of the odometry, and of the frames of its node."""
+    """Settings of the odometry, and of its node: the stored pose, and frames."""
+
+    initial_state: tuple[float, ...] = quantity(
+        DEFAULT_START, "m, -",
+        "Pose at the start: x, y, then the quaternion w, x, y, z, by default that of the "
+        "simulator; a tilt that gravity contradicts is replaced by the measured one",
+        minimum=-1e6, maximum=1e6,
+    )
+    pose_memory: float = quantity(
+        30.0, "s",
+        "Time after the end of an odometry within which a new one begins with its last pose, if "
+        "the sphere rested, rather than at initial_state; 0 is never",
+        minimum=0.0, maximum=3600.0,
+    )
 
     frame_prefix: str = quantity(
         "", "-", "Prefix of base_link in frame names; if empty, the node's namespace"

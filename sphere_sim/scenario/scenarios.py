@@ -5,7 +5,7 @@
 SciPy is imported where it is used, as it takes long to load.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import POSITION, Vector, as_state, make_state
+from sphere_nmpc.model.state import DEFAULT_START, POSITION, Vector, as_state, make_state
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Scenario:
         return push | kept
 
 
-def _paper_case(start: list[float], goal: list[float]) -> Scenario:
+def _paper_case(start: Sequence[float], goal: Sequence[float]) -> Scenario:
     return Scenario(as_state(start), as_state(goal))
 
 
@@ -75,7 +75,7 @@ _ORIGIN = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 _ON_THE_CIRCLE = [0.0, 0.0, 0.7071, 0.0, 0.7071, 0.0]
 
 PAPER_CASES: dict[int, Scenario] = {
-    1: _paper_case([2.0, -3.0, 0.03, 0.454, 0.88, 0.1363], _ORIGIN),
+    1: _paper_case(DEFAULT_START, _ORIGIN),
     2: _paper_case([1.0, 2.0, 0.5, 0.5, 0.5, 0.5], _ON_THE_CIRCLE),
     3: _paper_case([0.0, 0.0, 0.6521, 0.1132, 0.1115, 0.7413], _ORIGIN),
     4: _paper_case([0.0, 0.0, 0.2734, 0.5628, 0.4281, 0.6521], _ON_THE_CIRCLE),

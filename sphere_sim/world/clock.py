@@ -114,6 +114,12 @@ class SimulatedClock:
             self.awaited = None
             self.restart(now, wall)
 
+    def run_freely(self, wall: float) -> None:
+        """Leave lockstep; a command that is awaited is so no longer."""
+        self.lockstep = False
+        if self.awaited is not None:
+            self.command_received(self.awaited, wall)
+
     def command_received(self, stamp: int, wall: float) -> None:
         """Record the arrival of a command for the instant `stamp` [ns]."""
         if stamp == self.awaited:

@@ -83,6 +83,10 @@ class ImuSensor(SampledSensor[ImuReading]):
         walks = np.repeat([settings.gyro_bias_walk, settings.accelerometer_bias_walk], 3)
         self._step = walks * math.sqrt(self.period / NANOSECONDS)
 
+    def reset(self) -> None:
+        """Forget how the plant has moved, as it is put elsewhere."""
+        self._before = None
+
     def sample(self, now: int, plant: Plant) -> None:
         """Read the plant at this instant."""
         drawn = self._random.normal(size=(2, 6))

@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 
 from sphere_nmpc.entry_table import Entry, EntryTable
+from sphere_nmpc.model.state import DEFAULT_START
 from sphere_nmpc.quantity import quantity, validate
 
 PLANTS = EntryTable(
@@ -31,7 +32,7 @@ class SimulatorSettings:
         choices=PLANTS.keys(),
     )
     initial_state: tuple[float, ...] = quantity(
-        (2.0, -3.0, 0.03, 0.454, 0.88, 0.1363), "m, -",
+        DEFAULT_START, "m, -",
         "Start at rest: x, y, then the quaternion w, x, y, z", minimum=-1e6, maximum=1e6,
     )
     pose_source: str = quantity(

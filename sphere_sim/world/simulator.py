@@ -76,6 +76,8 @@ class Simulator:
         self.follower.reset()
         self.speed_reference = np.zeros(INPUT_SIZE)
         self.plant.reset(as_state(self._settings.initial_state))
+        if self.imu is not None:
+            self.imu.reset()
 
     def advance_to(self, then: int) -> None:
         """Advance the simulation to `then` [ns]."""

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The odometry node over real DDS, in the loop with simulator and controller."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +14,10 @@ from nav_msgs.msg import Odometry
 from patience import LOCKSTEP
 from ros_graph import Graph, running_graph, values_of
 from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error, upright_state
@@ -31,6 +35,7 @@ pytestmark = pytest.mark.slow
 START = upright_state(1.0, -0.5, 0.4)
 IMU = ImuSettings(position=(0.12, -0.05, 0.1), orientation=(0.5, 0.5, -0.5, 0.5))
 GOAL = upright_state(1.6, 0.2, 1.0)
+BACK = upright_state(1.0, -0.2, 0.0)
 RVIZ = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.0685]).ravel()
 """Covariance that RViz sends by default."""
 
@@ -79,8 +84,9 @@ class Loop:
 
 
 @pytest.fixture(scope="module")
-def loop() -> Iterator[Loop]:
+def loop(tmp_path_factory) -> Iterator[Loop]:
     with pytest.MonkeyPatch.context() as patch, running_graph() as graph:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))  # the stored pose
         # All nodes are served in turn: one that waits longer keeps the others waiting.
         patch.setattr(simulator_node, "_REPEAT_EVERY", 0.01)
         yield Loop(graph)
@@ -137,12 +143,50 @@ def test_late_fix_corrects_the_pose_and_one_that_is_no_measurement_is_refused(lo
     assert loop.error[0] < 0.01
 
 
+def test_no_pose_is_published_while_the_position_is_not_known(loop) -> None:
+    node, controller = loop.node, loop.controller
+    loop.graph.until(lambda: controller.controller.at_goal)
+    arrivals = loop.graph.collect(Bool, "controller/at_goal", LATCHED)
+    statuses = loop.graph.collect(DiagnosticStatus, "controller/status")
+    node.odometry.faults.see(Kind.LIFTED, math.inf, "given a vertical velocity of +0.3 m/s")
+    loop.graph.until(lambda: arrivals and not arrivals[-1].data)
+    loop.poses.clear()
+    loop.graph.until(lambda: loop.statuses[-1].level == DiagnosticStatus.ERROR)
+    assert loop.statuses[-1].message.startswith("lifted: given a vertical velocity of +0.3 m/s")
+    assert "no pose is published after that at [" in loop.statuses[-1].message
+    begun = loop.simulator.simulator.time
+    loop.graph.until(lambda: loop.simulator.simulator.time > begun + 1.0)
+    loop.graph.until(lambda: "/odometry reports lifted" in statuses[-1].message)
+    assert statuses[-1].level == DiagnosticStatus.ERROR and not loop.poses
+    loop.send("initialpose", pose_from_ros(loop.truths[-1]), RVIZ)
+    loop.graph.until(lambda: loop.poses)
+    assert not node.odometry.is_lost
+    loop.graph.until(lambda: arrivals[-1].data)
+
+
 def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
     reading = Imu(header=loop.imu[-1].header)
     reading.angular_velocity_covariance[0] = -1.0
     loop.graph.publisher(Imu, "imu").publish(reading)
     loop.graph.until(lambda: loop.node._fault_log.counts["imu refused"])
     assert loop.error[0] < 0.01
+
+
+def test_reset_of_the_simulator_in_motion_begins_both_anew(loop) -> None:
+    begun = loop.simulator.simulator.time
+    loop.graph.publisher(PoseStamped, "goal_pose").publish(
+        pose_to_ros(BACK, round(begun * 1e9) + 1, 0.3)
+    )
+    loop.graph.until(lambda: np.abs(loop.simulator.simulator.plant.rotor_speeds).max() > 20.0)
+    answer = loop.graph.call(Trigger, "simulator/reset", Trigger.Request())
+    assert answer.success and answer.message.endswith("the odometry begins anew")
+    begun = loop.simulator.simulator.time
+    loop.graph.until(lambda: not loop.node.odometry.is_calibrated)
+    loop.poses.clear()
+    loop.graph.until(lambda: len(loop.poses) > 5)
+    first = stamp_from_ros(loop.poses[0].header.stamp) * 1e-9
+    assert first > begun + 1.5 and loop.error < (2e-3, 1e-2)
+    assert position_error(pose_from_ros(loop.poses[0]), START) < 2e-3
 
 
 def test_reading_that_is_repeated_while_time_stands_still_gives_its_pose_again(loop) -> None:

@@ -23,11 +23,12 @@ from given_plans import Standing
 from patience import LOCKSTEP
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, JointState
 
 from sphere_nmpc.model.state import Vector, upright_state
 from sphere_nmpc.own_folder import cache_folder
 from sphere_nmpc.ros import graph_monitor
+from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
@@ -255,6 +256,18 @@ def no_imu(graph) -> None:
     graph.start(OdometryNode)
 
 
+def odometry_without_an_imu(graph) -> None:
+    graph.start(OdometryNode)
+    graph.start(ControllerNode)
+
+
+def rotor_speeds_without_a_stamp(graph) -> None:
+    sender = graph.probe.create_publisher(JointState, "joint_states", 10)
+    speeds = JointState(name=list(JOINT_NAMES), velocity=[0.0, 0.0])
+    graph.probe.create_timer(0.01, lambda: sender.publish(speeds))
+    graph.start(OdometryNode)
+
+
 def pose_of_the_simulator_beside(graph) -> None:
     graph.start(SimulatorNode)
     graph.start(OdometryNode, use_sim_time=True)
@@ -290,6 +303,8 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     no_imu: ("odometry", "no IMU: given no publisher"),
     no_rotors: ("odometry", "joint_states:=/its"),
     pose_of_the_simulator_beside: ("odometry", "the pose jumps between them"),
+    odometry_without_an_imu: ("controller", "… reports …"),
+    rotor_speeds_without_a_stamp: ("odometry", "no stamp: given rotor speeds"),
     two_navigators: ("navigator", "goals are rejected"),
     recorder_without_the_namespace: ("recorder", "start this node with -r __ns"),
 }

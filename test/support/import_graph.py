@@ -36,12 +36,12 @@ FLOORS = {
         ("strategy", "estimation"),
         ("floor",),
         ("solver", "settings"),
-        ("model", "worker"),
+        ("model", "worker", "own_folder"),
         ("quantity", "fault_log", "child", "foreign_file", "entry_table"),
         ("channel",),
         ("foreign_code",),
         ("errors", "library_threads", "conditions"),
-        ("foreign_text", "own_folder"),
+        ("foreign_text",),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

@@ -152,14 +152,14 @@ class Odometry:
         return worst_first((*found, Condition(Kind.CALIBRATING, text)))
 
     @property
-    def is_lost(self) -> bool:
-        """Whether the position is not known until a pose is given."""
-        return self.faults.is_lost
-
-    @property
     def delay(self) -> float:
         """Time by which readings of the IMU are later than their stamps [s]."""
         return 0.5 * self._step if self._imu.delay < 0.0 else self._imu.delay
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the position is not known until a pose is given."""
+        return self.faults.is_lost
 
     @property
     def estimate(self) -> PoseEstimate | None:
@@ -249,10 +249,7 @@ class Odometry:
         self._close()
         self._open.valid[0] = True
         if not was_still:
-            self.faults.see(
-                Kind.POSITION_UNKNOWN, time,
-                f"given no reading for {gap:.2f} s in motion; pose_fix or initialpose tells it",
-            )
+            self.faults.lost(time, f"given no reading for {gap:.2f} s in motion")
         return self.is_calibrated
 
     def set_pose(self, time: float, pose: Vector, covariance: Vector | None) -> None:

@@ -26,9 +26,9 @@ _CONVENTIONS = (
     (0.5, "; gravity has been removed"), (2.0, "; it is given in g"),
 )
 """What a force below a norm [m/s^2] means."""
-_LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
+LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
 """Kinds that last until a pose is given, as the position is not known."""
-_LASTING = _LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
+_LASTING = LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
 _LOST_BY = 0.1
 """Angle by which the shell has turned unnoticed at which it has been moved as well [rad]."""
 _LATE = 5e-3
@@ -62,7 +62,7 @@ class SensorFaults:
     @property
     def is_lost(self) -> bool:
         """Whether the position is not known until a pose is given."""
-        return not _LOST.isdisjoint(self._seen)
+        return not LOST.isdisjoint(self._seen)
 
     def forget_before(self, time: float) -> None:
         """Forget what was last seen before a time [s], but what lasts until a pose is given."""
@@ -72,8 +72,15 @@ class SensorFaults:
 
     def placed(self) -> None:
         """Note that the position is known again."""
-        for kind in _LOST | {Kind.TILT_REPLACED}:
+        for kind in LOST | {Kind.TILT_REPLACED}:
             self._seen.pop(kind, None)
+
+    def lost(self, time: float, given: str) -> None:
+        """Note that the position is not known, and what has been given instead."""
+        self.see(
+            Kind.POSITION_UNKNOWN, time,
+            f"{given}; the position is not known until pose_fix or initialpose tells it",
+        )
 
     def gravity(self, time: float, norm: float) -> bool:
         """Return whether the norm of a specific force at rest [m/s^2] is that of gravity."""
@@ -105,7 +112,7 @@ class SensorFaults:
         shown = f"given a vertical that is {math.degrees(angle):.1f} deg from that estimated"
         self.see(Kind.TILT_REPLACED, time, f"{shown}, at rest; that of the accelerometer is taken")
         if angle > _LOST_BY:
-            self.see(Kind.POSITION_UNKNOWN, time, f"{shown}; pose_fix or initialpose tells it")
+            self.lost(time, shown)
 
     def reading(self, time: float, rate: Vector, force: Vector) -> bool:
         """Return whether a reading of the IMU can be believed."""

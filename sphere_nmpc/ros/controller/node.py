@@ -24,6 +24,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.goal_memory import goal_memory
 from sphere_nmpc.control.schedule import LockstepSchedule, PlanRequest, Schedule, TimedPose
 from sphere_nmpc.errors import InvalidValueError
 from sphere_nmpc.floor.floor import Floor
@@ -37,13 +38,13 @@ from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
-from sphere_nmpc.ros.controller.stored_goal import StoredGoal
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
+from sphere_nmpc.ros.stored import Stored, stored_file
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
 
@@ -95,8 +96,10 @@ class ControllerNode(ClockedNode):
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._goal_told = -math.inf
-        self._stored_goal = StoredGoal(
-            self, settings.goal_memory, self._control_clock, self._fault_log
+        keep = settings.goal_memory
+        self._stored_goal = Stored(
+            goal_memory(stored_file(self, "goal"), keep) if keep > 0.0 else None,
+            self._control_clock, self._fault_log, "goal", "without a goal",
         )
         # Before the publisher of commands, so that nobody finds that one alone.
         self._period_publisher = self.create_publisher(Float64, "control_period", LATCHED)
@@ -178,6 +181,11 @@ class ControllerNode(ClockedNode):
             has_goal = self.controller.goal_sequence is not None  # else nothing is to move
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
             self._monitor.stamps.moved(now, deviation)
+            newest = self.controller.estimator.newest
+            if newest is not None and self._schedule.is_overdue(
+                now - newest[0], bool(self._monitor.poses.reported)
+            ):
+                self._plan(self._schedule.request(now))
         self._monitor.check(
             now, clock.simulated, jump, self._settings.pose_timeout,
             (*self.controller.faults, *self._floor_receiver.faults()),
@@ -268,7 +276,7 @@ class ControllerNode(ClockedNode):
             stamp, frame, numbers = fields(message, Pose)
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
-            self._monitor.received(age, stamp)
+            self._monitor.poses.received(age, stamp)
             self.controller.rotor_feedback.poses.received(measured, age)
             pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
             self._monitor.stamps.received(measured, pose.state)

@@ -140,7 +140,11 @@ class ControllerReports:
         return mode
 
     def update(self) -> None:
-        """Publish a status if there was none for a while; call it after each check."""
+        """Publish what has changed, and a status if there was none for a while.
+
+        Call it after each check.
+        """
+        self._publish_arrival()
         if perf_counter() - self._status_at >= _LONGEST_SILENCE:
             self.present()
 

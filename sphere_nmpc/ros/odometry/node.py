@@ -4,8 +4,11 @@
 
 subscribes  imu, joint_states, initialpose, pose_fix
 publishes   pose, odom, ~/status, /diagnostics
+services    ~/reset
 """
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,11 +18,13 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
+from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.mounting import mounting
+from sphere_nmpc.estimation.mounting import FixedFrames
 from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry.kept_pose import KeptPose, anywhere, pose_memory, since
 from sphere_nmpc.model.error_state import fixed_axes_covariance
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -32,6 +37,7 @@ from sphere_nmpc.ros.messages import stamp_from_ros, uncertain_pose_from_ros
 from sphere_nmpc.ros.odometry.reports import OdometryReports
 from sphere_nmpc.ros.pose_publisher import PosePublisher, frame_prefix
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
+from sphere_nmpc.ros.stored import Stored, stored_file
 
 _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For measurements of which none may be dropped while the node is held up, for half a second at
@@ -41,6 +47,8 @@ _DEPTH = 10
 """Poses kept for a subscriber that is slow."""
 _CHECK_EVERY = 0.25
 """Wall time between two checks of sensors and topics, and two statuses [s]."""
+_SAVE_EVERY = 1.0
+"""Wall time after which the pose is stored again [s]."""
 _NOT_MEASURED = -1.0
 """First element of a covariance of sensor_msgs/Imu whose quantity is not measured."""
 
@@ -69,9 +77,21 @@ class OdometryNode(ClockedNode):
         self._control_clock = ControlClock(self, self._clock_jumped, has_pace=False)
         self.odometry = Odometry(self._settings, self._imu, self._robot)
         self._prefix = frame_prefix(self, self._settings.frame_prefix)
-        self._mounted: str | None = None if self._settings.robot_description else ""
+        urdf = self._settings.robot_description
+        self._frames = FixedFrames(urdf) if urdf else None
+        self._mounted: str | None = None if self._frames else ""
         """Frame whose mounting is in force; None before the first, "" where there is none."""
         self._given: tuple[Vector, Vector | None] | None = None
+        keep = self._settings.pose_memory
+        self._stored = Stored(
+            pose_memory(stored_file(self, "pose"), keep) if keep > 0.0 else None,
+            self._control_clock, self._fault_log, "pose", "at initial_state",
+        )
+        self._recalled: tuple[KeptPose, float] | None = None
+        """Pose of the last run, and its age [s, wall], until a calibration has checked it."""
+        self._saved_at, self._was_at_rest = -math.inf, False
+        self._angles: Vector | None = None
+        """Newest angles of the rotors [rad], shape (2,)."""
         self._epoch: int | None = None
         self._sent: list[tuple[Any, Any]] = []
         self._sent_stamp = -1
@@ -90,6 +110,7 @@ class OdometryNode(ClockedNode):
             self.create_subscription(
                 PoseWithCovarianceStamped, topic, take, _FEW, event_callbacks=NO_EVENTS
             )
+        self.create_service(Trigger, "~/reset", self._reset)
         self.create_wall_timer(_CHECK_EVERY, self._check)
 
     @property
@@ -106,7 +127,7 @@ class OdometryNode(ClockedNode):
     def _receive_imu(self, message: bytes) -> None:
         imu = cdr.read(message, cdr.Imu)
         stamp, frame, numbers = imu
-        if not self._reports.imu.received(stamp):
+        if not self._reports.imu.received(stamp, np.array(numbers)):
             return
         for name, first in (("angular_velocity", 16), ("linear_acceleration", 28)):
             if numbers[first] == _NOT_MEASURED:
@@ -114,8 +135,10 @@ class OdometryNode(ClockedNode):
                     f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
                     f"stands for an IMU that does not measure the {name}",
                 )
-        if self._mounted is None:
-            self._mount(frame)
+        if not self._stored.is_settled:
+            self._recall()
+        if self._mounted is None and self._frames is not None:
+            self._mount(frame, self._frames)
         elif self._mounted not in ("", frame):
             raise InvalidInputError("frame", frame, f"'{self._mounted}', as of the first reading")
         reading = np.array(imu.rate), np.array(imu.force)
@@ -126,10 +149,9 @@ class OdometryNode(ClockedNode):
             for publisher, pose in self._sent:
                 publisher.publish(pose)
 
-    def _mount(self, frame: str) -> None:
+    def _mount(self, frame: str, frames: FixedFrames) -> None:
         """Begin anew with the IMU where the description has the frame of its messages."""
-        link = frame.removeprefix(self._prefix)
-        place, turn = mounting(self._settings.robot_description, link, BODY_FRAME)
+        place, turn = frames.mounting(frame.removeprefix(self._prefix), BODY_FRAME)
         imu = replace(
             self._imu, position=tuple(place.tolist()), orientation=tuple(turn.tolist())
         )
@@ -141,19 +163,63 @@ class OdometryNode(ClockedNode):
     def _receive_joints(self, message: bytes) -> None:
         joints = cdr.read(message, cdr.Joints)
         found = joints.of_rotors()
-        if found is None or not self._reports.joints.received(joints.stamp):
+        if found is None or not self._reports.joints.received(joints.stamp, found):
             return  # of other joints, or without a time
         angles, speeds, _ = found
         if not np.isfinite(speeds).all():
             raise InvalidInputError("rotor speeds", speeds.tolist(), "finite numbers [rad/s]")
-        known = angles if np.isfinite(angles).all() else None
+        known = self._angles = angles if np.isfinite(angles).all() else None
         if self.odometry.observe_rotors(self._time(joints.stamp), speeds, known):
             self._publish()
 
+    def _recall(self) -> None:
+        """Begin with the last pose of an odometry that ended lately, if there is one."""
+        self._recalled = self._stored.restore()
+        if self._recalled is None:
+            return
+        kept, age = self._recalled
+        radius = self._robot.shell_radius
+        self._given = kept.pose, since(kept, age, self._settings.pivoting, radius)
+        self.odometry.set_pose(0.0, *self._given)
+        self._event_log.report(
+            "pose", f"begins with that of {age:.0f} s ago (pose_memory), if it still holds"
+        )
+
+    def _check_recalled(self, kept: KeptPose, age: float) -> None:
+        """Compare the pose of the last run with what the calibration has found."""
+        estimate = self.odometry.estimate
+        if estimate is None:
+            return
+        self._recalled = None
+        contradiction = kept.contradiction(age, estimate, self._angles)
+        if contradiction and not self.odometry.fixes_used:
+            self.odometry.set_pose(estimate.time, estimate.pose, anywhere(estimate))
+            self.odometry.faults.lost(estimate.time, contradiction)
+
+    def _save(self) -> None:
+        """Store the pose, at once where the sphere begins to move."""
+        estimate, wall = self.odometry.estimate, time.monotonic()
+        if estimate is None or self._recalled is not None:
+            return
+        at_rest = not (estimate.body_rate.any() or self.odometry.is_lost)
+        if wall < self._saved_at + _SAVE_EVERY and at_rest is self._was_at_rest:
+            return
+        self._saved_at, self._was_at_rest = wall, at_rest
+        self._stored.save(KeptPose(estimate.pose, estimate.covariance, at_rest, self._angles))
+
+    def finish(self) -> None:
+        """Store the last pose."""
+        self._saved_at = -math.inf
+        self._save()
+        self._stored.close()
+
     def _publish(self) -> None:
-        """Publish the newest estimate, with the stamp of its reading."""
+        """Publish the newest estimate, with the stamp of its reading, while it is known."""
+        if self._recalled is not None:
+            self._check_recalled(*self._recalled)
         estimate, radius = self.odometry.estimate, self._robot.shell_radius
-        if estimate is None or self._epoch is None:
+        if estimate is None or self._epoch is None or self.odometry.is_lost:
+            self._sent = []
             return
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
         height_deviation = radius * self._settings.radius_deviation
@@ -163,7 +229,7 @@ class OdometryNode(ClockedNode):
             covariances = of_pose, estimate.twist_covariance
             return estimate.velocity, estimate.body_rate, covariances
 
-        self._sent_stamp = stamp
+        self._sent_stamp, self._reports.pose = stamp, pose
         self._sent = self._publisher.messages([(stamp, pose)], pose, stamp, moving)
         for publisher, message in self._sent:
             publisher.publish(message)
@@ -171,10 +237,13 @@ class OdometryNode(ClockedNode):
     def _set_pose(self, message: PoseWithCovarianceStamped) -> None:
         """Take a pose as that of now: the stamp of who gives it is that of another clock."""
         self._given = uncertain_pose_from_ros(message, self._frame)
+        self._stored.supersede()
+        self._recalled = None
         estimate = self.odometry.estimate
         now = self._time(self._control_clock.stamp()) if estimate is None else estimate.time
         self.odometry.set_pose(now, *self._given)
         self._event_log.report("initialpose", f"at {self._given[0].round(3).tolist()}")
+        self._publish_if_found()
 
     def _correct(self, message: PoseWithCovarianceStamped) -> None:
         fix = uncertain_pose_from_ros(message, self._frame)
@@ -184,17 +253,49 @@ class OdometryNode(ClockedNode):
         reason = self.odometry.correct(self._time(stamp), *fix)
         if reason is not None:
             self._fault_log.report(reason.name, reason.text)
+        self._publish_if_found()
+
+    def _publish_if_found(self) -> None:
+        """Publish at once where no pose was published of the newest reading; store the next."""
+        self._saved_at = -math.inf
+        if not self._sent:
+            self._publish()
 
     def _check(self) -> None:
         if self._epoch is not None:
             self.odometry.check(self._time(self._reports.imu.heard_until()))
         self._reports.update(self.odometry)
+        self._save()
         self._event_log.flush()
 
-    def _clock_jumped(self, _: bool) -> None:
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Serve a robot, or a simulator, that is at its start again."""
+        for stream in (self._reports.imu, self._reports.joints):
+            stream.begin_anew()
+        self._begin_anew()
+        response.success, response.message = True, "begins anew at initial_state"
+        self._event_log.report("reset", response.message)
+        return response
+
+    def _begin_anew(self) -> None:
+        """Forget all, and begin at `initial_state` with a calibration."""
+        self._stored.supersede()
+        self._stored.save(None)
+        self._recalled = self._given = self._epoch = None
+        self._sent, self._sent_stamp = [], -1
+        self._mounted = None if self._frames else ""
+        self.odometry = Odometry(self._settings, self._imu, self._robot)
+
+    def _clock_jumped(self, changed: bool) -> None:
+        """Begin anew where simulated time does, else keep the pose."""
+        clock = self._control_clock
+        if clock.simulated and not changed:  # it jumps back only
+            self._event_log.report("clock", "goes back; begins anew at initial_state")
+            self._begin_anew()
+            return
         self._event_log.report("clock", "shows another time; the pose stays, motion is lost")
         self.odometry.forget()
-        self._epoch, self._sent_stamp = None, -1
+        self._epoch, self._sent, self._sent_stamp = None, [], -1
 
 
 _ABOUT = f"""{__doc__}

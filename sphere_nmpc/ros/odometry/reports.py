@@ -10,22 +10,33 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Imu, JointState
 
-from sphere_nmpc.conditions import OK, STALE, Condition, Kind, Severity, worst_first
+from sphere_nmpc.conditions import OK, STALE, Condition, Kind, Severity
+from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.recent import Recent
+from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry.sensor_faults import LOST
 from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import QUATERNION
+from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.ros.cdr import seconds
 from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.diagnostics import Diagnostics, status, status_name
 from sphere_nmpc.ros.graph_monitor import names_of
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
-from sphere_nmpc.ros.input_monitor import InputMonitor, Source
+from sphere_nmpc.ros.input_monitor import OTHER_CLOCK_AGE, InputMonitor, Source, StampedInput
 
-_SOURCE = Source(
-    Imu, Kind.IMU_SILENT, "readings of the IMU", "100 Hz or more",
-    "start the driver of the IMU or the simulator", "imu", "readings of several are mixed up",
+_SOURCES = (
+    Source(
+        Imu, Kind.IMU_SILENT, "readings of the IMU", "100 Hz or more",
+        "start the driver of the IMU or the simulator", "imu", "readings of several are mixed up",
+    ),
+    Source(
+        JointState, Kind.ENCODERS_SILENT, "rotor speeds", "the rate of the IMU",
+        "start the driver of the rotors", "joint_states", "",
+    ),
 )
 _TOPICS = {Kind.IMU_SILENT: ("imu", Imu), Kind.ENCODERS_SILENT: ("joint_states", JointState)}
 """Names and types of the topics of sensors, by the condition of their silence."""
@@ -39,21 +50,39 @@ at which a controller gives its poses up."""
 class Stream:
     """Stamps of a sensor's messages."""
 
-    def __init__(self, clock: ControlClock, monitor: InputMonitor | None = None) -> None:
-        self._clock, self._monitor = clock, monitor
+    def __init__(self, clock: ControlClock, messages: StampedInput) -> None:
+        self._clock, self._messages = clock, messages
+        self.watch = StampWatch(messages.source.plural)
+        """Stamps that cannot be times of measurement."""
         self._gaps = Recent()
         self.newest = 0
         """Newest stamp [ns]."""
+        self._outdated = -1
         self._seen = 0
 
-    def received(self, stamp: int) -> bool:
+    def begin_anew(self) -> None:
+        """Leave out what was measured until now, which may not have been received yet."""
+        self._outdated, self.newest = self._clock.stamp(), 0
+
+    def received(self, stamp: int, numbers: Vector) -> bool:
         """Record a message with a stamp [ns]; return whether that may be a time of measurement.
 
-        It is 0 where a driver does not set it, and at the start of simulated time.
+        It is 0 where a driver does not set it, and at the start of simulated time; before the
+        clock is known it may be any. One ahead of the clock, which would make all before it
+        outdated, is refused; where it is of another kind of clock, the monitor reports it.
+        `numbers` are what was measured.
         """
         now = self._clock.stamp()
-        if self._monitor is not None:
-            self._monitor.received((now - stamp) / NANOSECONDS, stamp)
+        age = (now - stamp) / NANOSECONDS
+        self._messages.received(age, stamp)
+        if self._clock.now() is None or age < -OTHER_CLOCK_AGE or stamp <= self._outdated:
+            return False
+        if age < -_LATE:
+            given = Description(f"{-age:.6g} s ahead of this node's clock")
+            raise InvalidInputError(
+                "stamp", given, f"at most {_LATE:g} s ahead; are the clocks synchronised?"
+            )
+        self.watch.received(seconds(stamp), numbers)
         if stamp > self.newest:
             if self.newest:
                 self._gaps.append((stamp - self.newest) / NANOSECONDS)
@@ -86,9 +115,11 @@ class OdometryReports:
         self, node: GuardedNode, clock: ControlClock, fault_log: FaultLog, event_log: FaultLog,
     ) -> None:
         self._node, self._clock, self._event_log = node, clock, event_log
-        self._monitor = InputMonitor(node, fault_log, _SOURCE)
-        self.imu, self.joints = Stream(clock, self._monitor), Stream(clock)
+        self._monitor = InputMonitor(node, fault_log, *_SOURCES)
+        self.imu, self.joints = (Stream(clock, one) for one in self._monitor.inputs)
         """Streams of the sensors."""
+        self.pose: Vector | None = None
+        """Last pose that was published, shape (6,)."""
         self._told: set[str] = set()
         self._last: tuple[Severity, str, Mapping[str, Any]] = STALE, "no reading yet", {}
         self._name = status_name(node)
@@ -102,13 +133,17 @@ class OdometryReports:
             self._located(one) for one in conditions if one.kind.severity not in _PASSING
         ]
         further = self._monitor.graph.further_publishers(clocked=False)
-        self._monitor.update(clock.now(), clock.simulated, _LATE, [*further, *lasting])
+        inexact = [one for one in (self.imu.watch.fault(), self.joints.watch.fault()) if one]
+        self._monitor.update(
+            clock.now(), clock.simulated, _LATE, [*further, *lasting, *inexact[:1]]
+        )
         passing = [one for one in conditions if one.kind.severity in _PASSING]
         self._tell(odometry, passing)
-        told = worst_first((*self._monitor.faults, *passing))
+        # What is wrong first: it may be what the calibration waits for.
+        told = (*self._monitor.faults, *passing)
         level, message = STALE, "no reading yet"
         if told:
-            level, message = told[0].kind.severity, str(told[0])
+            level, message = max(one.kind.severity for one in told), str(told[0])
         elif odometry.estimate is not None:
             level, message = OK, "estimating"
         self._last = level, message, self._values(odometry, told)
@@ -124,7 +159,15 @@ class OdometryReports:
         self._told = set(now)
 
     def _located(self, one: Condition) -> Condition:
-        """Return a condition, that of a silent sensor with what the graph shows of its topic."""
+        """Return a condition, that of a silent sensor with what the graph shows of its topic.
+
+        That of a position which is not known has the last one that was published.
+        """
+        if one.kind in LOST:
+            place = "" if self.pose is None else (
+                f" after that at {self.pose[POSITION].round(2).tolist()} m"
+            )
+            return Condition(one.kind, f"{one.text}; no pose is published{place}")
         if one.kind not in _TOPICS:
             return one
         name, message = _TOPICS[one.kind]

@@ -6,7 +6,7 @@ publishes   pose and odom, with pose_source odometry as ground_truth/pose and gr
             imu, joint_states, /clock unless it runs on the system clock, /diagnostics, ~/pushed
 subscribes  rotor_trajectory, rotor_commands, control_period, map, ~/push, in lockstep the
             controller's status, with an odometry node the first pose
-services    ~/reset, ~/pause, ~/step, ~/push
+services    ~/reset, ~/pause, ~/step, ~/push; with an odometry node calls its ~/reset
 """
 
 import math
@@ -18,6 +18,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -28,6 +29,7 @@ from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.ros.cdr import Pose, fields
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, publishers_of
@@ -115,10 +117,11 @@ class SimulatorNode(GuardedNode):
             settings.real_time_factor, settings.lockstep and not settings.has_odometry,
             settings.lockstep_timeout, settings.start_paused, keeps_up=settings.is_on_system_clock,
         )
-        # Until the odometry has a pose, after a calibration, the controller has no answer.
-        self._first_pose = self.create_subscription(
-            PoseStamped, "pose", self._begin_lockstep, 1, raw=True
-        ) if settings.lockstep and settings.has_odometry else None
+        self._first_pose: Subscription | None = None
+        self._begun_at = -1
+        """Stamp at which the odometry has begun [ns], up to which its poses are of before."""
+        if settings.has_odometry:
+            self._await_odometry()
         self._monitor = GraphMonitor(self, self._fault_log)
         commands = self.resolve_topic_name("rotor_trajectory")
         self._controllers = Controllers(
@@ -137,6 +140,8 @@ class SimulatorNode(GuardedNode):
         )
         self.create_subscription(Float64, "control_period", self._receive_period, LATCHED)
         self.create_service(Trigger, "~/reset", self._reset)
+        has_odometry = settings.has_odometry
+        self._odometry = self.create_client(Trigger, "odometry/reset") if has_odometry else None
         self.create_service(SetBool, "~/pause", self._pause)
         self.create_service(Trigger, "~/step", self._step)
         PushReceiver(
@@ -247,8 +252,23 @@ class SimulatorNode(GuardedNode):
         self._simulated_clock.set_sample_period(round(NANOSECONDS * period), time.monotonic())
         self.get_logger().info(f"lockstep: every {period:g} s, as the controller samples")
 
-    def _begin_lockstep(self, _: bytes) -> None:
-        self._simulated_clock.lockstep = True
+    def _await_odometry(self) -> None:
+        """Let time run freely until the odometry has a pose, after a calibration.
+
+        Before, the controller has no answer.
+        """
+        self._simulated_clock.run_freely(time.monotonic())
+        self._has_pose = False
+        if self._first_pose is None:
+            self._first_pose = self.create_subscription(
+                PoseStamped, "pose", self._receive_pose, 1, raw=True
+            )
+
+    def _receive_pose(self, message: bytes) -> None:
+        if fields(message, Pose)[0] > self._begun_at:
+            self._receiver.is_held = False
+            self._simulated_clock.lockstep = self._settings.lockstep
+            self._has_pose = True
 
     def _report_timeout(self) -> None:
         timeout = self._settings.lockstep_timeout
@@ -286,6 +306,13 @@ class SimulatorNode(GuardedNode):
         self._state_publisher.publish(self.simulator)
         response.success = True
         response.message = f"at the start again, at t = {self.simulator.time:.3f} s"
+        if self._odometry is not None and self._odometry.service_is_ready():
+            self._begun_at = self._state_publisher.epoch + self.simulator.now
+            # What the controller plans until it misses the poses is of before, too.
+            self._receiver.is_held = True
+            self._await_odometry()
+            self._odometry.call_async(Trigger.Request())
+            response.message += "; the odometry begins anew"
         return response
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -316,7 +343,7 @@ class SimulatorNode(GuardedNode):
     def _report_clock(self) -> tuple[Severity, str, Mapping[str, Any]]:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
         self._controllers.update()
-        if self._first_pose is not None and self._simulated_clock.lockstep:
+        if self._first_pose is not None and self._has_pose:
             self.destroy_subscription(self._first_pose)
             self._first_pose = None
         self._monitor.update([

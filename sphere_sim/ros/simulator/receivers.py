@@ -41,6 +41,8 @@ class CommandReceiver:
         self._fault_log = fault_log
         self._on_trajectory = on_trajectory
         self._epoch = epoch
+        self.is_held = False
+        """Whether the rotors are left at rest, whatever valid commands are received."""
         self.received = 0
         """Number of messages received, accepted or not."""
         # In lockstep time waits for each command. Otherwise one that was lost must not hold back
@@ -84,7 +86,7 @@ class CommandReceiver:
             )
             return
         # Otherwise it is a copy, in case that the first one was lost.
-        if not simulator.follower.has_followed(hold):
+        if not (self.is_held or simulator.follower.has_followed(hold)):
             fastest = max(np.abs(hold.speeds).max(), np.abs(simulator.speed_reference).max())
             if late > 1e-9 and fastest > _NEGLIGIBLE_SPEED:
                 # It may be a delayed ramp to rest: the command that it replaces must not continue.
@@ -101,8 +103,9 @@ class CommandReceiver:
         simulator = self._simulator
         try:
             speeds = speeds_of_message(message)
-            simulator.follower.follow_speeds(speeds, simulator.time)
-            self._report_clamped()
+            if not self.is_held:
+                simulator.follower.follow_speeds(speeds, simulator.time)
+                self._report_clamped()
         except InvalidInputError as error:
             self._fault_log.report("rotor_commands refused", str(error))
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from sphere_nmpc import own_folder
 from sphere_nmpc.conditions import Kind
-from sphere_nmpc.control import goal_memory
-from sphere_nmpc.control.goal_memory import GoalMemory
+from sphere_nmpc.control.goal_memory import goal_memory
 from sphere_nmpc.control.goal_report import GoalReport, Patience
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
@@ -26,19 +26,19 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_goal_is_resumed_for_some_time_and_on_the_same_clock_only(path, monkeypatch) -> None:
-    memory = GoalMemory(path, 30.0)
+    memory = goal_memory(path, 30.0)
     for simulated in (False, True):
         memory.save(GOALS, STAMP, simulated)
         assert memory.recall(STAMP, simulated) is not None
         assert memory.recall(STAMP, not simulated) is None
         assert memory.recall(STAMP - 1, simulated) is None, "the clock was set back"
     written = path.stat().st_mtime
-    monkeypatch.setattr(goal_memory.time, "time", lambda: written + 30.0)
-    found = GoalMemory(path, 30.0).recall(STAMP, True)
+    monkeypatch.setattr(own_folder.time, "time", lambda: written + 30.0)
+    found = goal_memory(path, 30.0).recall(STAMP, True)
     assert found is not None and found[1] == 30.0
     assert found[0].lists_same(GOALS)
     assert (found[0].stamp, found[0].index) == (42, 1)
-    assert GoalMemory(path, 29.0).recall(STAMP, True) is None
+    assert goal_memory(path, 29.0).recall(STAMP, True) is None
     path.parent.chmod(0o777)
     with pytest.raises(OSError, match="a folder that others can write"):
         memory.recall(STAMP, True)
@@ -70,7 +70,7 @@ def content(goal: str, index: str = "0", stamp: str = "0") -> str:
 def test_file_without_a_valid_goal_is_ignored(path, text, is_valid) -> None:
     path.parent.mkdir()
     path.write_text(text, encoding="utf-8")
-    assert (GoalMemory(path, 30.0).recall(STAMP, True) is not None) is is_valid
+    assert (goal_memory(path, 30.0).recall(STAMP, True) is not None) is is_valid
 
 
 VALUES = {"goal_stamp": "7.000000001", "goal_index": "1", "mode": "at the goal"}

@@ -3,6 +3,7 @@
 """The CasADi model against a momentum balance of all bodies and the plant, and its integrator."""
 
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,7 @@ from motions import integrate
 from robots import HEAVY_ROTORS
 from scipy.spatial.transform import Rotation
 
+from sphere_nmpc.model.controllability import distance_to_circle
 from sphere_nmpc.model.disturbance import imbalance_of_offset
 from sphere_nmpc.model.dynamics import state_rate, world_rate
 from sphere_nmpc.model.integrator import step_function
@@ -19,6 +21,7 @@ from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state, contact_points, make_state
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
+ROOT = Path(__file__).parents[3]
 TABLE_1 = RobotParameters()
 P = TABLE_1.lumped.as_array()
 BOTH = pytest.mark.parametrize("robot", [TABLE_1, HEAVY_ROTORS], ids=["table 1", "heavy rotors"])
@@ -181,3 +184,30 @@ def test_motion_runs_backwards_when_the_inputs_do_and_no_time_is_no_motion() -> 
     back = integrate(there, -b, -a, PERIOD, P, max_step=0.01)
     np.testing.assert_allclose(back, start, atol=1e-7)
     np.testing.assert_array_equal(integrate(start, a, b, 0.0, P), start)
+
+
+@BOTH
+def test_fastest_turn_is_about_the_vertical_on_the_circle(robot) -> None:
+    """The rate that an IMU needs follows from it, see "Which IMU" in docs/porting.md."""
+    lumped, top = robot.lumped, robot.max_rotor_speed
+    rolling = np.sqrt(2.0) * lumped.input_gain * top
+    fastest = rolling / (1.0 - lumped.transverse_ratio)
+    for x, u in draws(300, 8):
+        assert np.linalg.norm(spin_of(x, rate(robot, x, np.sign(u) * top))) < fastest * 1.000001
+    # The vertical is (1, 1, 0) / sqrt(2) in the body frame: both rotors turn about it at once.
+    x = as_state(np.concatenate(([0.0, 0.0], Rotation.align_vectors(
+        [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    )[0].as_quat()[[3, 0, 1, 2]])))
+    assert distance_to_circle(x) == pytest.approx(0.0, abs=1e-7)
+    turn = spin_of(x, rate(robot, x, np.array([top, top])))
+    np.testing.assert_allclose(turn, [0.0, 0.0, -fastest], atol=1e-6 * fastest)
+    if robot is TABLE_1:
+        document = (ROOT / "docs" / "porting.md").read_text(encoding="utf-8")
+        assert f"rolls with {rolling:.1f}\nrad/s and turns with {fastest:.1f} rad/s" in document
+        assert f"which takes {round(fastest / 0.03, -1):.0f} Hz" in document
+        wrong = fastest**2 * 1e-3
+        tilt = np.degrees(np.arctan(wrong / 9.81))
+        assert f"by {1e3 * wrong:.0f} mm/s², as much as {tilt:.2f}° of tilt" in document
+        assert f"{0.12 * fastest**2:.1f} m/s² at 12 cm" in document
+        assert f"rotors of 300 rad/s turns with {3.0 * fastest:.0f} rad/s" in document
+        assert 3.0 * fastest / 0.03 == pytest.approx(1e3, rel=0.05)

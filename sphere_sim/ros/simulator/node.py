@@ -118,8 +118,8 @@ class SimulatorNode(GuardedNode):
             settings.lockstep_timeout, settings.start_paused, keeps_up=settings.is_on_system_clock,
         )
         self._first_pose: Subscription | None = None
-        self._begun_at = -1
-        """Stamp at which the odometry has begun [ns], up to which its poses are of before."""
+        self._begun_at = -math.inf
+        """Stamp at which the odometry has begun [ns], up to which its poses may be of before."""
         if settings.has_odometry:
             self._await_odometry()
         self._monitor = GraphMonitor(self, self._fault_log)
@@ -264,6 +264,9 @@ class SimulatorNode(GuardedNode):
                 PoseStamped, "pose", self._receive_pose, 1, raw=True
             )
 
+    def _odometry_begun(self, _: object) -> None:
+        self._begun_at = self._state_publisher.epoch + self.simulator.now
+
     def _receive_pose(self, message: bytes) -> None:
         if fields(message, Pose)[0] > self._begun_at:
             self._receiver.is_held = False
@@ -307,11 +310,12 @@ class SimulatorNode(GuardedNode):
         response.success = True
         response.message = f"at the start again, at t = {self.simulator.time:.3f} s"
         if self._odometry is not None and self._odometry.service_is_ready():
-            self._begun_at = self._state_publisher.epoch + self.simulator.now
             # What the controller plans until it misses the poses is of before, too.
             self._receiver.is_held = True
+            self._begun_at = math.inf
             self._await_odometry()
-            self._odometry.call_async(Trigger.Request())
+            answer = self._odometry.call_async(Trigger.Request())
+            answer.add_done_callback(self.guarded("reset", self._odometry_begun))
             response.message += "; the odometry begins anew"
         return response
 

@@ -124,7 +124,7 @@ class Odometry:
         self._open = Samples([], [], [], [])
         numbers, settings, robot = self._numbers, self._settings, self._robot
         self._history = PoseHistory(self._filter, settings.fix_memory, numbers)
-        self._speeds = RotorSpeeds(numbers.silence, robot.max_rotor_acceleration)
+        self._speeds = RotorSpeeds(numbers.silence, robot)
         self._rest = RestDetector(self._filter.imu, robot.lumped.input_gain, numbers)
         self._pending: list[Fix] = []
         self._fixes: list[Fix] = []
@@ -214,13 +214,21 @@ class Odometry:
     def observe_rotors(self, time: float, speeds: Vector, angles: Vector | None = None) -> bool:
         """Take speeds [rad/s] and, where known, angles [rad] of the rotors, shape (2,) each.
 
-        Return whether there is a new estimate: without an IMU that moves by the rotors alone.
+        Speeds that are not finite, or 0 while the angles change, follow from the angles. Return
+        whether there is a new estimate: without an IMU that moves by the rotors alone.
         """
-        if not (math.isfinite(time) and np.isfinite(speeds).all()):
+        is_known = bool(np.isfinite(speeds).all())
+        if not math.isfinite(time) or not (is_known or angles is not None):
             raise InvalidInputError("rotor speeds", [time, *speeds], "finite numbers")
-        if self.faults.rotors(time, speeds, angles):
+        stamp, taken = time, np.asarray(speeds, float)
+        found = None if angles is None else self._speeds.by_angles(time, np.asarray(angles, float))
+        if found is not None and (not is_known or self.faults.are_none(speeds, found[1])):
+            stamp, taken = found
+        elif not is_known:
+            return False
+        if self.faults.rotors(time, taken, angles):
             self._speeds.clear()
-        if not self._speeds.append(time, np.asarray(speeds, float)):
+        if not self._speeds.append(stamp, taken):
             return False
         newest = self._open.times[-1] if self._open.times else math.nan
         if time > newest + self._numbers.silence and self.is_calibrated:
@@ -244,13 +252,15 @@ class Odometry:
         """Take the first reading after a time in which nothing is known of the motion."""
         gap = time - self._open.times[-1]
         self._close()
-        was_still = self._was_still
+        if self._was_still:
+            # It has probably rested; a rest that contradicts the tilt shows otherwise.
+            self._open = Samples([], [], [], [])
+            return self._take(time, rate, force, True)
         self._take(time, rate, force, False)
         self._close()
         self._open.valid[0] = True
-        if not was_still:
-            self.faults.lost(time, f"given no reading for {gap:.2f} s in motion")
-        return self.is_calibrated
+        self.faults.lost(time, f"given no reading for {gap:.2f} s in motion")
+        return True
 
     def set_pose(self, time: float, pose: Vector, covariance: Vector | None) -> None:
         """Place the sphere, at the newest reading.

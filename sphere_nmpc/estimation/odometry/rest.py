@@ -121,7 +121,6 @@ class RestDetector:
             self._blocks.popleft()
         recent = [one for one in self._blocks if one.start > end - numbers.rest - 0.5 * duration]
         if end - self._blocks[0].start < numbers.rest - duration:
-            self.moves = ""
             return False
         moves = self._motion(np.array([one.means for one in recent]), duration)
         if moves:

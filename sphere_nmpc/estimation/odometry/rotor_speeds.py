@@ -2,12 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured speeds of the rotors, at the instants of the readings of an IMU."""
 
+import math
 from bisect import bisect_left, bisect_right
 
 import numpy as np
 
 from sphere_nmpc.estimation.odometry.inertial_state import Samples
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+
+_FASTER = 1.5
+"""Speed over the largest one at which an angle has begun anew [-]."""
 
 
 class RotorSpeeds:
@@ -17,12 +22,14 @@ class RotorSpeeds:
     ----------
     longest_gap : float
         Time without speeds across which they are not interpolated [s].
-    acceleration : float
-        Largest acceleration of the rotors [rad/s^2].
+    robot : RobotParameters
+        Robot, whose rotors have a largest speed and acceleration.
     """
 
-    def __init__(self, longest_gap: float, acceleration: float) -> None:
-        self._longest_gap, self._acceleration = longest_gap, acceleration
+    def __init__(self, longest_gap: float, robot: RobotParameters) -> None:
+        self._longest_gap, self._acceleration = longest_gap, robot.max_rotor_acceleration
+        self._fastest = _FASTER * robot.max_rotor_speed
+        self._angles: tuple[float, Vector] | None = None
         self.times: list[float] = []
         """Stamps [s]."""
         self._speeds: list[Vector] = []
@@ -31,6 +38,19 @@ class RotorSpeeds:
     def newest(self) -> Vector | None:
         """The newest speeds [rad/s], shape (2,); None without any."""
         return self._speeds[-1] if self._speeds else None
+
+    def by_angles(self, time: float, angles: Vector) -> tuple[float, Vector] | None:
+        """Return the mean speeds [rad/s] since the angles [rad] before, and the middle time [s].
+
+        None where they are not known. Angles may begin anew after a turn.
+        """
+        before, self._angles = self._angles, (time, angles)
+        if before is None or not 0.0 < time - before[0] < self._longest_gap:
+            return None
+        step, turned = time - before[0], angles - before[1]
+        if np.max(np.abs(turned)) > self._fastest * step:
+            turned = (turned + math.pi) % (2.0 * math.pi) - math.pi
+        return 0.5 * (time + before[0]), turned / step
 
     def append(self, time: float, speeds: Vector) -> bool:
         """Take speeds [rad/s] measured at `time` [s]; False where they are not newer."""

@@ -20,6 +20,8 @@ _CONTRADICTIONS = 8
 """Intervals in which the shell turns otherwise than by the rotors: a push takes some."""
 _SIGNIFICANT = 4.0
 """Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
+_TURNING = 1.0
+"""Speed by the angles at which the rotors turn [rad/s]: an encoder that toggles shows less."""
 _LARGE = 6.0
 """Standard deviations [-] by which a force or a bias at rest may differ from what is expected."""
 _CONVENTIONS = (
@@ -129,6 +131,10 @@ class SensorFaults:
             return False
         # At rest readings without noise repeat.
         return self._equal < _REPEATED or not self._is_moving
+
+    def are_none(self, speeds: Vector, by_angles: Vector) -> bool:
+        """Return whether speeds are 0 as a driver sends them that does not measure them."""
+        return not np.any(speeds) and float(np.max(np.abs(by_angles))) > _TURNING
 
     def rotors(self, time: float, speeds: Vector, angles: Vector | None) -> bool:
         """Take speeds [rad/s] and angles [rad]; return whether those before cannot be believed."""

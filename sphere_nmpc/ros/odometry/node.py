@@ -166,8 +166,6 @@ class OdometryNode(ClockedNode):
         if found is None or not self._reports.joints.received(joints.stamp, found):
             return  # of other joints, or without a time
         angles, speeds, _ = found
-        if not np.isfinite(speeds).all():
-            raise InvalidInputError("rotor speeds", speeds.tolist(), "finite numbers [rad/s]")
         known = self._angles = angles if np.isfinite(angles).all() else None
         if self.odometry.observe_rotors(self._time(joints.stamp), speeds, known):
             self._publish()

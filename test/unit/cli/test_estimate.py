@@ -66,7 +66,7 @@ def test_poses_of_a_bag_are_near_the_true_ones_with_table_figure_and_report(
     assert len(rows) > 700 and all((tmp_path / f"poses.{kind}").stat().st_size
                                    for kind in ("png", "svg"))
     assert "from /ground_truth/pose: " in printed.out and "% of the way)" in printed.out
-    assert "s: calibrating at rest: given no rest" in printed.out
+    assert "s: calibrating at rest: given at rest for" in printed.out
     assert printed.err == "estimate: initial_state is the first pose of /ground_truth/pose\n"
 
 

@@ -1,0 +1,219 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Mounting, offset of stamps and noise of an IMU, from readings beside a motion that is known."""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.state import Vector
+from sphere_sim.identification.fitting import fitted
+
+Value: TypeAlias = tuple[Vector, Vector]
+"""Numbers, and their standard deviations."""
+_FEWEST = 100
+_STILL = 1e-3
+"""Angular velocity below which the shell rests [rad/s]."""
+_ABOUT_ONE_AXIS = 0.03
+"""Share of the rotation about a second axis up to which the axes of the IMU are not seen [-]."""
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of an IMU at times [s], shape (N,), rising: rates and forces, (N, 3), its axes."""
+
+    times: Vector
+    rates: Vector
+    forces: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Known motion of the shell, in parts.
+
+    Attributes
+    ----------
+    times : ndarray, shape (N,)
+        Rising [s].
+    quaternions, rates : ndarray, shapes (N, 4) and (N, 3)
+        Orientations, and angular velocities [rad/s; body frame].
+    parts : ndarray of int, shape (N,)
+        Number of the part that a time belongs to, from 0 on.
+    """
+
+    times: Vector
+    quaternions: Vector
+    rates: Vector
+    parts: NDArray[np.intp]
+
+    def part_at(self, times: Vector, margin: float) -> NDArray[np.intp]:
+        """Return in which part times are, -1 within a margin [s] of its ends or outside."""
+        before = self._part(times - margin)
+        return np.where(before == self._part(times + margin), before, -1)
+
+    def _part(self, times: Vector) -> NDArray[np.intp]:
+        after = np.clip(np.searchsorted(self.times, times), 1, self.times.size - 1)
+        inside = (times >= self.times[0]) & (times <= self.times[-1])
+        inside &= self.parts[after] == self.parts[after - 1]
+        return np.where(inside, self.parts[after], -1)
+
+    def rates_at(self, times: Vector) -> Vector:
+        """Return the angular velocities at times within the parts [rad/s; body frame]."""
+        return np.column_stack([np.interp(times, self.times, one) for one in self.rates.T])
+
+    def quaternions_at(self, times: Vector) -> Vector:
+        """Return the orientations at times within the parts."""
+        after = np.clip(np.searchsorted(self.times, times), 1, self.times.size - 1)
+        share = (times - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
+        begin, end = self.quaternions[after - 1], self.quaternions[after]
+        found = begin + share[:, None] * (rotation.nearer_sign(end, begin) - begin)
+        unit: Vector = found / np.linalg.norm(found, axis=1, keepdims=True)
+        return unit
+
+
+@dataclass(frozen=True, eq=False)
+class Mounted:
+    """What readings beside a known motion show of an IMU; deviations are standard deviations.
+
+    Attributes
+    ----------
+    offset : tuple of float
+        Time by which its stamps are late against those of the motion [s].
+    orientation : tuple of ndarray
+        Quaternion that takes vectors in its axes to the body frame, and deviations of the rotation
+        about the axes of the body [rad], shape (3,).
+    position : tuple of ndarray
+        Place in the body frame [m].
+    gyro_bias, gyro_scale, accelerometer_bias, accelerometer_scale : tuple of ndarray
+        In its axes [rad/s, -, m/s^2, -].
+    noises : ndarray, shape (2,)
+        Noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)].
+    period : float
+        Time between two readings [s].
+    at_rest : bool
+        Whether the noises are those at rest; otherwise they include what the motion leaves.
+    """
+
+    offset: tuple[float, float]
+    orientation: Value
+    position: Value
+    gyro_bias: Value
+    gyro_scale: Value
+    accelerometer_bias: Value
+    accelerometer_scale: Value
+    noises: Vector
+    period: float
+    at_rest: bool
+
+
+def identified_mounting(
+    readings: Readings, track: Track, radius: float, margin: float
+) -> Mounted:
+    """Return how an IMU is mounted in a shell of this radius [m] whose motion is known.
+
+    Stamps may differ by up to `margin` [s]. `InvalidInputError` is raised where the motion does
+    not show it.
+    """
+    period = float(np.median(np.diff(readings.times)))
+    part = track.part_at(readings.times, margin + period)
+    chosen = np.flatnonzero(part >= 0)
+    if chosen.size < _FEWEST:
+        raise InvalidInputError(
+            "readings of the IMU", Description(f"{chosen.size} beside poses"), f"{_FEWEST} or more"
+        )
+    times, rates, groups = readings.times[chosen], readings.rates[chosen], part[chosen]
+    start = _axes(track.rates_at(times), rates)
+
+    def turn(values: Vector) -> Vector:
+        """Return the matrix that takes vectors in the axes of the IMU to the body frame."""
+        return rotation.matrix(rotation.exponential(values)) @ start
+
+    def of_gyro(values: Vector) -> Vector:
+        seen = track.rates_at(times - np.clip(values[9], -margin, margin)) @ turn(values[:3])
+        return np.ravel(seen * (1.0 + values[3:6]) + values[6:9] - rates)
+
+    units = np.array([*(0.1,) * 3, *(0.01,) * 3, *(0.01,) * 3, 0.01])
+    gyro, of, _ = fitted(of_gyro, np.zeros(10), units, np.repeat(groups, 3))
+    late, axes = float(gyro[9]), turn(gyro[:3])
+
+    # The force is a mean over the time since the reading before it.
+    pairs = chosen[np.diff(chosen, prepend=-2) == 1]
+    now = readings.times[pairs] - late
+    felt, by_place = _forces(track, now, period, radius)
+    felt, by_place = felt @ axes, np.einsum("nji,jk->nki", by_place, axes)
+    forces = readings.forces[pairs]
+
+    def of_accelerometer(values: Vector) -> Vector:
+        seen = felt + np.einsum("nki,i->nk", by_place, values[:3])
+        return np.ravel(seen * (1.0 + values[3:6]) + values[6:9] - forces)
+
+    units = np.array([*(0.01,) * 3, *(0.01,) * 3, *(0.1,) * 3])
+    place, about, _ = fitted(of_accelerometer, np.zeros(9), units, np.repeat(part[pairs], 3))
+    fast = np.linalg.norm(track.rates_at(times), axis=1)
+    left = [np.reshape(of_gyro(gyro), (-1, 3)), np.reshape(of_accelerometer(place), (-1, 3))]
+    resting = [fast < _STILL, (fast < _STILL)[np.searchsorted(chosen, pairs)]]
+    at_rest = bool(np.sum(resting[1]) >= _FEWEST)
+    if at_rest:
+        left = [one[still] for one, still in zip(left, resting, strict=True)]
+    noises = np.array([np.sqrt(np.mean(np.var(one, axis=0)) * period) for one in left])
+    return Mounted(
+        (late, float(of[9])), (rotation.from_matrix(axes), of[:3]), (place[:3], about[:3]),
+        (gyro[6:9], of[6:9]), (gyro[3:6], of[3:6]), (place[6:9], about[6:9]),
+        (place[3:6], about[3:6]), noises, period, at_rest,
+    )
+
+
+def _axes(rates: Vector, seen: Vector) -> Vector:
+    """Return the matrix that takes vectors in the axes of the IMU to the body frame, to begin with.
+
+    `rates` are those of the body, `seen` those of the gyro, shape (N, 3).
+    """
+    away, other = rates - rates.mean(axis=0), seen - seen.mean(axis=0)
+    sizes = np.linalg.svd(away, compute_uv=False)
+    if sizes[1] < _ABOUT_ONE_AXIS * sizes[0] or sizes[0] == 0.0:
+        raise InvalidInputError(
+            "rotation", Description("about one axis"), "about two, which show the axes of the IMU"
+        )
+    u, _, v = np.linalg.svd(away.T @ other)
+    sign = np.sign(np.linalg.det(u @ v))
+    found: Vector = u @ np.diag([1.0, 1.0, sign]) @ v
+    left = np.linalg.norm(other - away @ found) / np.linalg.norm(other)
+    if left > 0.5:
+        given = f"{100 * left:.0f} % of it not explained by a right-handed mounting"
+        raise InvalidInputError(
+            "angular velocity of the IMU", Description(given),
+            "that of the shell [rad/s], in any right-handed axes",
+        )
+    return found
+
+
+def _forces(
+    track: Track, times: Vector, period: float, radius: float
+) -> tuple[Vector, Vector]:
+    """Return the mean specific force at the centre over the period before times, and its slope.
+
+    They are in the body frame, shapes (N, 3) and (N, 3, 3): the latter by the place of the IMU.
+    """
+    def sides(at: Vector) -> tuple[Vector, Vector, Vector]:
+        q, rates = track.quaternions_at(at), track.rates_at(at)
+        turns = np.moveaxis(rotation.matrix(q.T), -1, 0)
+        world = np.einsum("nij,nj->ni", turns, rates)
+        velocity = radius * np.cross(world, _UP)
+        crossed = np.cross(rates[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
+        return q, velocity, turns @ crossed
+
+    q_before, before, by_before = sides(times - period)
+    q, velocity, by = sides(times)
+    middle = q + rotation.nearer_sign(q_before, q)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    turns = np.moveaxis(rotation.matrix(middle.T), -1, 0)
+    force = (velocity - before) / period + GRAVITY * _UP
+    felt: Vector = np.einsum("nji,nj->ni", turns, force)
+    return felt, np.einsum("nji,njk->nik", turns, (by - by_before) / period)

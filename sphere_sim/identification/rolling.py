@@ -1,0 +1,302 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Lumped constants, offset of stamps and noise of poses from rolling that was watched from outside.
+
+A batch of all poses, by least squares. The recording is cut into pieces of some seconds; each has
+its own pose and momentum at its start, so that a push, slip or a rough floor ends with its piece,
+and all have the constants, the offset of the stamps, and slope and imbalance in common. Poses are
+predicted by the controller's integrator from the measured rotor speeds. The covariance is that of
+the residuals, or of the scatter between the pieces, whichever is larger: the latter is larger where
+the model leaves errors that last.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.model.disturbance import Disturbance
+from sphere_nmpc.model.error_state import apply_error, error_between
+from sphere_nmpc.model.first_order_hold import SHORTEST
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import POSE, QUATERNION, Vector
+from sphere_nmpc.model.units import RobotUnits
+from sphere_nmpc.solver.roll_out import propagate, roll_out
+from sphere_sim.identification.inertial import Track
+
+NAMES = ("shell_radius", "c1", "r1", "r3", "pose_offset")
+"""Common unknowns that are results: Rs, c1, r1, r3 over the given ones, and the offset [s]."""
+OFFSET = 4
+_COMMON, _LOCAL = 10, 8
+"""Numbers of common unknowns, slope and imbalance the last five, and of those of a piece."""
+_TORQUES = slice(5, 10)
+_OFFSET_DEVIATION = 0.05
+"""Standard deviation of the offset of stamps that is expected [s]."""
+_ITERATIONS = 25
+_CONVERGED = 1e-3
+"""Step over the standard deviation below which the iteration has converged [-]."""
+_SEEN = 0.5
+"""Standard deviation over the expected one from which on an unknown is not seen [-]."""
+_FEWEST = 10
+"""Poses of a piece that are worth their eight unknowns."""
+_LEAST = 1e-7
+"""Standard deviation of a pose by rounding [m, rad]."""
+_LONGEST_GAP = 0.2
+"""Longest time between two rotor speeds that counts as known [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rolling:
+    """Poses and rotor speeds of a recording.
+
+    Attributes
+    ----------
+    times, poses : ndarray, shapes (K,) and (K, 6)
+        Stamps [s], rising, and poses.
+    joint_times, speeds : ndarray, shapes (N,) and (N, 2)
+        Stamps [s], rising, and speeds of the rotors [rad/s], linear between them.
+    """
+
+    times: Vector
+    poses: Vector
+    joint_times: Vector
+    speeds: Vector
+
+    def pieces(self, length: float) -> list[NDArray[np.intp]]:
+        """Return the indices of the poses of each piece of `length` [s]."""
+        first, last = self.joint_times[0], self.joint_times[-1]
+        margin = 2.0 * _OFFSET_DEVIATION
+        number = np.floor((self.times - self.times[0]) / length)
+        known = (self.times > first + margin) & (self.times < last - margin)
+        gaps = np.flatnonzero(np.diff(self.joint_times) > _LONGEST_GAP)
+        found = [np.flatnonzero(known & (number == k)) for k in range(int(number[-1]) + 1)]
+        return [
+            one for one in found if one.size >= _FEWEST and not np.any(
+                (self.joint_times[gaps + 1] > self.times[one[0]] - margin)
+                & (self.joint_times[gaps] < self.times[one[-1]] + margin)
+            )
+        ]
+
+    def between(self, times: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
+        """Return the speeds from the first to the last time, as straight pieces.
+
+        That is their lengths, the speeds at their ends, and which of these are the `times`.
+        """
+        begin, end = np.searchsorted(self.joint_times, times[[0, -1]], side="right")
+        knots = np.unique(np.concatenate((times, self.joint_times[begin:end])))
+        knots = knots[knots <= times[-1]]
+        return np.diff(knots), self.speeds_at(knots), np.searchsorted(knots, times)
+
+    def speeds_at(self, times: Vector) -> Vector:
+        """Return the rotor speeds at times [s]."""
+        return np.column_stack([
+            np.interp(times, self.joint_times, column) for column in self.speeds.T
+        ])
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Common unknowns, what each piece begins with, and how well they are known.
+
+    Attributes
+    ----------
+    common : ndarray, shape (10,)
+        Constants over those given, offset of the stamps [s], slope and imbalance [rad/s^2].
+    deviations : ndarray, shape (10,)
+        Their standard deviations.
+    starts : list of ndarray, each of shape (9,)
+        State at the first pose of each piece.
+    noise : ndarray, shape (2,)
+        Root mean square of what is left of positions [m] and orientations [rad].
+    seen : ndarray of bool, shape (10,)
+        Which unknowns the motion shows; the others are as given.
+    left_out : int
+        Poses that are too far off to be used.
+    """
+
+    common: Vector
+    deviations: Vector
+    starts: list[Vector]
+    noise: Vector
+    seen: NDArray[np.bool_]
+    left_out: int = 0
+
+
+class BatchFit:
+    """Least squares over some pieces of a recording, from the constants of a given robot."""
+
+    def __init__(self, rolling: Rolling, robot: RobotParameters) -> None:
+        self.rolling, self.nominal = rolling, robot.lumped.as_array()
+        numbers = EstimatorSettings().of(RobotUnits.of(robot))
+        self._step, self.length = numbers.step, numbers.longest
+        self.pieces = rolling.pieces(self.length)
+        self._outlier = numbers.improbable
+        self._expected = np.array([
+            *numbers.constants, _OFFSET_DEVIATION, *(numbers.tilt,) * 2, *(numbers.imbalance,) * 3
+        ])
+        self._push = numbers.push
+
+    @cached_property
+    def given(self) -> Estimate:
+        """What is known before: the given robot, and the measured poses."""
+        common: Vector = np.concatenate((np.ones(4), np.zeros(6)))
+        starts = [
+            np.concatenate((self.rolling.poses[piece[0]], np.zeros(3))) for piece in self.pieces
+        ]
+        return Estimate(common, self._expected, starts, np.zeros(2), np.zeros(_COMMON, bool))
+
+    def constants(self, common: Vector) -> Vector:
+        """Return the lumped constants, within what a robot can have."""
+        found: Vector = self.nominal * common[:4]
+        found[2:] = np.minimum(found[2:], 1.0 - 1e-3)
+        return found
+
+    def fitted(self, chosen: list[int], begin: Estimate | None = None) -> Estimate:
+        """Return the estimate by the pieces with the numbers `chosen`.
+
+        Unknowns that are not seen are fixed, the worst first, and the others estimated again.
+        """
+        found = begin or self.given
+        free = np.ones(_COMMON, dtype=bool)
+        while True:
+            found = self._solved(chosen, found, free)
+            ratio = np.where(free, found.deviations / self._expected, 0.0)[: OFFSET + 1]
+            worst = int(np.argmax(ratio))
+            if ratio[worst] < _SEEN:
+                return replace(found, seen=free)
+            free[worst] = False
+            common = found.common.copy()
+            common[worst] = self.given.common[worst]
+            found = replace(found, common=common)
+
+    def track(self, at: Estimate, step: float) -> Track:
+        """Return the motion by an estimate, in times of the rotor speeds, each `step` [s]."""
+        constants = self.constants(at.common)
+        disturbance = Disturbance.from_array(at.common[_TORQUES])
+        found = []
+        for number, piece in enumerate(self.pieces):
+            first, last = self.rolling.times[piece[[0, -1]]] + at.common[OFFSET]
+            times = np.linspace(first, last, max(2, round((last - first) / step)))
+            durations, speeds, places = self.rolling.between(times)
+            states = roll_out(
+                at.starts[number], speeds, durations, constants, self._step, disturbance
+            )[places]
+            rates = self._rates(states, speeds[places], constants, disturbance)[:, 2:]
+            found.append((times, states[:, QUATERNION], rates, np.full(times.size, number)))
+        return Track(*(np.concatenate(one) for one in zip(*found, strict=True)))
+
+    def left(self, chosen: list[int], at: Estimate) -> Vector:
+        """Return the root mean square of what the common unknowns leave [m, rad], shape (2,)."""
+        return self._solved(chosen, at, np.zeros(_COMMON, dtype=bool)).noise
+
+    def _solved(self, chosen: list[int], begin: Estimate, free: NDArray[np.bool_]) -> Estimate:
+        common, starts = begin.common.copy(), [state.copy() for state in begin.starts]
+        noise: Vector = np.full(2, np.inf)
+        weights, left_out = np.ones(5), 0
+        columns = np.flatnonzero(free)
+        prior = np.diag(1.0 / self._expected[columns] ** 2)
+        for _ in range(_ITERATIONS):
+            parts = [self._linearised(k, starts[k], common) for k in chosen]
+            kept = [self._kept(residual, noise) for residual, _, _ in parts]
+            before, noise = noise, self._noise(parts, kept, columns.size)
+            left_out = sum(int(np.sum(~one)) for one in kept)
+            weights = np.repeat(1.0 / noise, (2, 3))
+            information = prior.copy()
+            gradient = prior @ (self.given.common - common)[columns]
+            scores, backs = [], []
+            for (residual, by_local, by_common), one in zip(parts, kept, strict=True):
+                r = (residual[one] * weights).ravel()
+                a = (by_local[one] * weights[:, None]).reshape(-1, _LOCAL)
+                b = (by_common[one] * weights[:, None]).reshape(-1, _COMMON)[:, columns]
+                own = a.T @ a
+                own[5:, 5:] += np.eye(3) / self._push**2
+                momentum = starts[chosen[len(scores)]][6:] / self._push**2
+                right = a.T @ r - np.concatenate((np.zeros(5), momentum))
+                gain = np.linalg.solve(own, a.T @ b)
+                information += b.T @ b - (a.T @ b).T @ gain
+                scores.append(b.T @ r - gain.T @ right)
+                gradient = gradient + scores[-1]
+                backs.append((np.linalg.solve(own, right), gain))
+            covariance = np.linalg.inv(information) if columns.size else np.zeros((0, 0))
+            step = covariance @ gradient
+            common[columns] += step
+            moved = 0.0
+            for k, (alone, gain) in zip(chosen, backs, strict=True):
+                change = alone - gain @ step
+                moved = max(moved, float(np.max(np.abs(change[2:5]))))
+                starts[k] = apply_error(starts[k], change)
+            settled = np.all(np.abs(before - noise) < 1e-3 * noise)
+            ratio = np.abs(step) / np.sqrt(np.diag(covariance))
+            if settled and np.all(ratio < _CONVERGED) and moved < 1e-6:
+                break
+        deviations = self._expected.copy()
+        if columns.size:
+            found = np.array(scores) - np.mean(scores, axis=0)
+            spread = covariance @ (found.T @ found) @ covariance
+            deviations[columns] = np.sqrt(np.maximum(np.diag(covariance), np.diag(spread)))
+        return Estimate(common, deviations, starts, noise, free, left_out)
+
+    def _kept(self, residual: Vector, noise: Vector) -> NDArray[np.bool_]:
+        """Return which poses are not improbable."""
+        squares = np.sum((residual / np.repeat(noise, (2, 3))) ** 2, axis=1)
+        found: NDArray[np.bool_] = squares < self._outlier
+        return found
+
+    def _noise(
+        self, parts: list[tuple[Vector, Vector, Vector]], kept: list[NDArray[np.bool_]],
+        unknowns: int,
+    ) -> Vector:
+        """Return the scale of the residuals [m, rad], robust at first, while all are kept."""
+        errors = np.concatenate([part[0][one] for part, one in zip(parts, kept, strict=True)])
+        lost = 1.0 - (_LOCAL * len(parts) + unknowns) / (5.0 * len(errors))
+        found = np.array([np.sqrt(np.mean(part**2) / max(lost, 0.1))
+                          for part in (errors[:, :2], errors[:, 2:])])
+        return np.maximum(found, _LEAST)
+
+    def _linearised(
+        self, index: int, start: Vector, common: Vector
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return residuals of the poses of a piece, (K, 5), and their derivatives by unknowns."""
+        piece, constants = self.pieces[index], self.constants(common)
+        disturbance = Disturbance.from_array(common[_TORQUES])
+        times = self.rolling.times[piece] + common[OFFSET]
+        durations, speeds, places = self.rolling.between(times)
+        count = piece.size
+        by_local = np.empty((count, 5, _LOCAL))
+        by_common = np.zeros((count, 5, _COMMON))
+        residual, states = np.empty((count, 5)), np.empty((count, 9))
+        state, chain = start, np.eye(8)
+        others: Vector = np.zeros((8, 9))
+        for m in range(count):
+            if m:
+                first, last = places[m - 1], places[m]
+                part = propagate(
+                    state, speeds[first : last + 1], durations[first:last], constants,
+                    self._step, disturbance,
+                )
+                state, chain = part.state, part.by_start @ chain
+                others = part.by_start @ others
+                others[:, :4] += part.by_constants
+                others[:, 4:] += part.by_torques
+            states[m] = state
+            residual[m] = error_between(state[POSE], self.rolling.poses[piece[m]])
+            by_local[m], by_common[m, :, :4] = chain[:5], others[:5, :4] * self.nominal
+            by_common[m, :, _TORQUES] = others[:5, 4:]
+        rates = self._rates(states, speeds[places], constants, disturbance)
+        by_common[:, :, OFFSET] = rates - by_local[:, :, :5] @ rates[0]
+        return residual, by_local, by_common
+
+    def _rates(
+        self, states: Vector, speeds: Vector, constants: Vector, disturbance: Disturbance
+    ) -> Vector:
+        """Return the rates of the errors of poses [m/s, rad/s], shape (K, 5)."""
+        short = np.array([SHORTEST])
+        later = [
+            roll_out(state, np.array((u, u)), short, constants, SHORTEST, disturbance)[-1]
+            for state, u in zip(states, speeds, strict=True)
+        ]
+        return np.array([
+            error_between(a[POSE], b[POSE]) for a, b in zip(states, later, strict=True)
+        ]) / SHORTEST

@@ -30,11 +30,9 @@ VERBS = {
     "study": ("sphere_sim.cli.study", "run many scenarios and write tables of the outcome"),
     "benchmark": ("sphere_sim.cli.benchmark", "time the solver on this machine"),
     "report": ("sphere_sim.cli.report", "turn a recorded bag into figures and a summary"),
-    "calibrate_radius": (
-        "sphere_sim.ros.session.calibrate_radius", "find the radius from a measured way",
-    ),
+    "identify": ("sphere_sim.cli.identify", "find the parameters of a robot from a recorded bag"),
 }
-_WITHOUT_ROS = ("study", "benchmark", "report")
+_WITHOUT_ROS = ("study", "benchmark", "report", "identify")
 _DEBUG = "--debug"
 _ROS_ARGUMENTS = "--ros-args"
 

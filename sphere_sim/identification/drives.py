@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.motion import followed
 from sphere_nmpc.model.first_order_hold import SAME, FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_sim.identification.fitting import fitted
 
@@ -22,6 +22,9 @@ _HELD = 0.25
 _GROUP = 2.0
 """Time within which errors may depend on each other [s]."""
 _FEWEST = 50
+"""Rotor speeds beside commands that are enough."""
+_STEEP = 0.98
+"""Share of the slopes below the acceleration that the fit begins with [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,7 @@ class Drives:
 
 
 def identified_drives(
-    commands: Commands, times: Vector, speeds: Vector, robot: RobotParameters
+    commands: Commands, times: Vector, speeds: Vector
 ) -> Drives | None:
     """Return what rotor speeds (N, 2) [rad/s] at times [s] show; None without a motion."""
     commands = commands.simplified()
@@ -118,10 +121,9 @@ def identified_drives(
 
     steps = np.diff(times)
     slopes = np.abs(np.diff(speeds, axis=0)) / np.maximum(steps, np.median(steps))[:, None]
-    values = np.array([
-        0.0, max(float(np.quantile(slopes, 0.98)), 1.0), min(largest, float(np.max(np.abs(speeds))))
-    ])
-    costs = [float(np.sum(residuals(lag, *values[1:]) ** 2)) for lag in _LAGS]
+    steep, fast = float(np.quantile(slopes, _STEEP)), float(np.max(np.abs(speeds)))
+    values = np.array([0.0, max(steep, 1.0), min(largest, fast)])
+    costs = [float(np.sum(residuals(float(lag), *values[1:].tolist()) ** 2)) for lag in _LAGS]
     values[0] = _LAGS[int(np.argmin(costs))]
     unlimited = np.array([0.0, np.inf, np.inf])
     units = np.array([0.1, values[1], values[2]])
@@ -129,11 +131,11 @@ def identified_drives(
     while True:
         chosen = np.flatnonzero(free)
 
-        def given(unknowns: Vector, chosen: np.ndarray = chosen) -> Vector:
+        def given(unknowns: Vector, chosen: NDArray[np.intp] = chosen) -> Vector:
             whole = unlimited.copy()
             whole[chosen] = unknowns
             whole[1:] = np.maximum(whole[1:], 1e-3)
-            return residuals(*whole)
+            return residuals(*whole.tolist())
 
         found, deviations, left = fitted(given, values[chosen], units[chosen], groups)
         values[chosen] = found
@@ -142,8 +144,9 @@ def identified_drives(
         if not unseen.any():
             break
         free &= ~unseen
-    told: list[tuple[float, float] | None] = [None, None, None]
-    for i, value, deviation in zip(chosen, found, deviations, strict=True):
-        told[i] = float(value), float(deviation)
-    assert told[0] is not None
-    return Drives(told[0], told[1], told[2], (min(commands.steepest, values[1]), largest), left)
+    told = {
+        i: (float(value), float(deviation))
+        for i, value, deviation in zip(chosen.tolist(), found, deviations, strict=True)
+    }
+    attained = min(commands.steepest, float(values[1])), largest
+    return Drives(told[0], told.get(1), told.get(2), attained, left)

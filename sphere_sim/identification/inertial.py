@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mounting, offset of stamps and noise of an IMU, from readings beside a motion that is known."""
 
-from dataclasses import dataclass
-from typing import TypeAlias
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,8 +97,8 @@ class Mounted:
         In its axes [rad/s, -, m/s^2, -].
     noises : ndarray, shape (2,)
         Noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)].
-    period : float
-        Time between two readings [s].
+    count : int
+        Number of readings that show these.
     at_rest : bool
         Whether the noises are those at rest; otherwise they include what the motion leaves.
     """
@@ -109,8 +111,27 @@ class Mounted:
     accelerometer_bias: Value
     accelerometer_scale: Value
     noises: Vector
-    period: float
+    count: int
     at_rest: bool
+
+    def with_scatter(self, others: Sequence["Mounted"]) -> "Mounted":
+        """Return it with deviations at least as large as others show (delete-one jackknife).
+
+        Each of the others is from all data but one of as many parts.
+        """
+        names = ("position", "gyro_bias", "gyro_scale", "accelerometer_bias",
+                 "accelerometer_scale", "offset")
+        factor = (len(others) - 1) / math.sqrt(len(others))
+        changes: dict[str, Any] = {}
+        for name in names:
+            value, deviation = getattr(self, name)
+            scatter = factor * np.std([getattr(one, name)[0] for one in others], axis=0)
+            changes[name] = value, np.maximum(deviation, scatter)
+        back = rotation.conjugate(self.orientation[0])
+        turns = [rotation.logarithm(rotation.product(one.orientation[0], back)) for one in others]
+        scatter = factor * np.std(turns, axis=0)
+        changes["orientation"] = self.orientation[0], np.maximum(self.orientation[1], scatter)
+        return replace(self, **changes)
 
 
 def identified_mounting(
@@ -166,12 +187,12 @@ def identified_mounting(
     return Mounted(
         (late, float(of[9])), (rotation.from_matrix(axes), of[:3]), (place[:3], about[:3]),
         (gyro[6:9], of[6:9]), (gyro[3:6], of[3:6]), (place[6:9], about[6:9]),
-        (place[3:6], about[3:6]), noises, period, at_rest,
+        (place[3:6], about[3:6]), noises, len(left[1]), at_rest,
     )
 
 
 def _axes(rates: Vector, seen: Vector) -> Vector:
-    """Return the matrix that takes vectors in the axes of the IMU to the body frame, to begin with.
+    """Return the axes of an IMU in the body frame, one a column, to begin with.
 
     `rates` are those of the body, `seen` those of the gyro, shape (N, 3).
     """

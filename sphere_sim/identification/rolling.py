@@ -1,13 +1,13 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Lumped constants, offset of stamps and noise of poses from rolling that was watched from outside.
+"""Lumped constants, offset of stamps and noise of poses that were measured from outside.
 
 A batch of all poses, by least squares. The recording is cut into pieces of some seconds; each has
 its own pose and momentum at its start, so that a push, slip or a rough floor ends with its piece,
 and all have the constants, the offset of the stamps, and slope and imbalance in common. Poses are
-predicted by the controller's integrator from the measured rotor speeds. The covariance is that of
-the residuals, or of the scatter between the pieces, whichever is larger: the latter is larger where
-the model leaves errors that last.
+predicted by the controller's integrator from the measured rotor speeds. The covariance is that by
+the residuals, or by the scatter between the pieces, whichever is larger: the latter is where the
+model leaves errors that last.
 """
 
 from dataclasses import dataclass, replace
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import SHORTEST
@@ -104,8 +105,8 @@ class Estimate:
     ----------
     common : ndarray, shape (10,)
         Constants over those given, offset of the stamps [s], slope and imbalance [rad/s^2].
-    deviations : ndarray, shape (10,)
-        Their standard deviations.
+    covariance : ndarray, shape (10, 10)
+        Their covariance; that of what is fixed is the expected one.
     starts : list of ndarray, each of shape (9,)
         State at the first pose of each piece.
     noise : ndarray, shape (2,)
@@ -117,11 +118,16 @@ class Estimate:
     """
 
     common: Vector
-    deviations: Vector
+    covariance: Vector
     starts: list[Vector]
     noise: Vector
     seen: NDArray[np.bool_]
     left_out: int = 0
+
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviations of the common unknowns."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 class BatchFit:
@@ -145,7 +151,9 @@ class BatchFit:
         starts = [
             np.concatenate((self.rolling.poses[piece[0]], np.zeros(3))) for piece in self.pieces
         ]
-        return Estimate(common, self._expected, starts, np.zeros(2), np.zeros(_COMMON, bool))
+        return Estimate(
+            common, np.diag(self._expected**2), starts, np.zeros(2), np.zeros(_COMMON, dtype=bool)
+        )
 
     def constants(self, common: Vector) -> Vector:
         """Return the lumped constants, within what a robot can have."""
@@ -171,19 +179,24 @@ class BatchFit:
             common[worst] = self.given.common[worst]
             found = replace(found, common=common)
 
-    def track(self, at: Estimate, step: float) -> Track:
-        """Return the motion by an estimate, in times of the rotor speeds, each `step` [s]."""
+    def track(self, chosen: list[int], at: Estimate, step: float) -> Track:
+        """Return the motion in pieces by an estimate, each `step` [s], in times of the rotors."""
         constants = self.constants(at.common)
         disturbance = Disturbance.from_array(at.common[_TORQUES])
         found = []
-        for number, piece in enumerate(self.pieces):
+        for number in chosen:
+            piece = self.pieces[number]
             first, last = self.rolling.times[piece[[0, -1]]] + at.common[OFFSET]
-            times = np.linspace(first, last, max(2, round((last - first) / step)))
-            durations, speeds, places = self.rolling.between(times)
+            times = np.linspace(first, last - SHORTEST, max(2, round((last - first) / step)))
+            both = np.sort(np.concatenate((times, times + SHORTEST)))
+            durations, speeds, places = self.rolling.between(both)
             states = roll_out(
                 at.starts[number], speeds, durations, constants, self._step, disturbance
             )[places]
-            rates = self._rates(states, speeds[places], constants, disturbance)[:, 2:]
+            states, later = states[::2], states[1::2]
+            moved = rotation.products(rotation.conjugate(states[:, QUATERNION]).T,
+                                      later[:, QUATERNION].T)
+            rates = 2.0 / SHORTEST * moved[1:].T
             found.append((times, states[:, QUATERNION], rates, np.full(times.size, number)))
         return Track(*(np.concatenate(one) for one in zip(*found, strict=True)))
 
@@ -205,7 +218,7 @@ class BatchFit:
             weights = np.repeat(1.0 / noise, (2, 3))
             information = prior.copy()
             gradient = prior @ (self.given.common - common)[columns]
-            scores, backs = [], []
+            scores, backs = list[Vector](), list[tuple[Vector, Vector]]()
             for (residual, by_local, by_common), one in zip(parts, kept, strict=True):
                 r = (residual[one] * weights).ravel()
                 a = (by_local[one] * weights[:, None]).reshape(-1, _LOCAL)
@@ -217,10 +230,9 @@ class BatchFit:
                 gain = np.linalg.solve(own, a.T @ b)
                 information += b.T @ b - (a.T @ b).T @ gain
                 scores.append(b.T @ r - gain.T @ right)
-                gradient = gradient + scores[-1]
-                backs.append((np.linalg.solve(own, right), gain))
+                backs.append((np.asarray(np.linalg.solve(own, right)), np.asarray(gain)))
             covariance = np.linalg.inv(information) if columns.size else np.zeros((0, 0))
-            step = covariance @ gradient
+            step = covariance @ (gradient + np.sum(scores, axis=0))
             common[columns] += step
             moved = 0.0
             for k, (alone, gain) in zip(chosen, backs, strict=True):
@@ -231,12 +243,13 @@ class BatchFit:
             ratio = np.abs(step) / np.sqrt(np.diag(covariance))
             if settled and np.all(ratio < _CONVERGED) and moved < 1e-6:
                 break
-        deviations = self._expected.copy()
+        whole = np.diag(self._expected**2)
         if columns.size:
             found = np.array(scores) - np.mean(scores, axis=0)
             spread = covariance @ (found.T @ found) @ covariance
-            deviations[columns] = np.sqrt(np.maximum(np.diag(covariance), np.diag(spread)))
-        return Estimate(common, deviations, starts, noise, free, left_out)
+            larger = np.sqrt(np.maximum(np.diag(spread) / np.diag(covariance), 1.0))
+            whole[np.ix_(columns, columns)] = covariance * np.outer(larger, larger)
+        return Estimate(common, whole, starts, noise, free, left_out)
 
     def _kept(self, residual: Vector, noise: Vector) -> NDArray[np.bool_]:
         """Return which poses are not improbable."""

@@ -1,0 +1,321 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""All that a recording shows of a robot, and the parameters of nodes that follow from it."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.units import RobotUnits
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.identification.bag import Recorded
+from sphere_sim.identification.drives import Drives, identified_drives
+from sphere_sim.identification.inertial import Mounted, Readings, identified_mounting
+from sphere_sim.identification.robot_file import (
+    CHANGED,
+    Entry,
+    deviations_of,
+    robot_entries,
+    with_constants,
+)
+from sphere_sim.identification.rolled_radius import rolled_radius
+from sphere_sim.identification.rolling import OFFSET, BatchFit, Estimate, Rolling
+
+_TRACK_STEP = 5e-3
+"""Spacing of the motion beside which an IMU is read [s; for the robot of Table 1]."""
+_MARGIN = 0.05
+"""Largest offset of the stamps of an IMU [s]."""
+_GROUPS = 8
+"""Groups of pieces, each of which is left out once to find the deviations of a mounting."""
+_FEWEST = 4
+"""Pieces of motion from which on half of them checks the other half."""
+_LONGEST_LAG = 0.05
+"""Largest lag that the controller takes [s]."""
+_LEAST_RATE = 0.02
+"""Angular velocity below which there is no motion that shows constants [rad/s]."""
+AS_GIVEN = "not seen, as given"
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is known before: robot, controller and IMU."""
+
+    robot: RobotParameters = field(default_factory=RobotParameters)
+    controller: ControllerSettings = field(default_factory=ControllerSettings)
+    imu: ImuSettings = field(default_factory=ImuSettings)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Line of the table: numbers with their standard deviations, and those given.
+
+    Without deviations the value is not seen, and the one given; it may have a remark.
+    """
+
+    name: str
+    unit: str
+    value: tuple[float, ...]
+    deviation: tuple[float, ...] = ()
+    given: tuple[float, ...] = ()
+    remark: str = ""
+
+
+@dataclass
+class Identified:
+    """Result: robot, table, parameters of nodes by their sections, and what the check found."""
+
+    robot: RobotParameters
+    rows: list[Row] = field(default_factory=list)
+    notes: dict[str, str] = field(default_factory=dict)
+    controller: dict[str, Entry] = field(default_factory=dict)
+    odometry: dict[str, Entry] = field(default_factory=dict)
+    check: str = ""
+
+    @property
+    def sections(self) -> dict[str, dict[str, Entry]]:
+        """Sections of the file of parameters, by nodes."""
+        found = {
+            "/**": robot_entries(self.robot, self.notes),
+            "/**/controller": self.controller, "/**/odometry": self.odometry,
+        }
+        return {node: entries for node, entries in found.items() if entries}
+
+    @property
+    def summary(self) -> str:
+        """How much was seen, and the check, in a line."""
+        seen = sum(bool(row.deviation) for row in self.rows)
+        unseen = ", ".join(row.name for row in self.rows if not row.deviation)
+        told = f"; not seen, as given: {unseen}" if unseen else ""
+        return f"{seen} of {len(self.rows)} identified{told}{self.check}"
+
+    def add(
+        self, name: str, unit: str, value: ArrayLike, deviation: ArrayLike | None,
+        given: ArrayLike | None = None, remark: str = "",
+    ) -> None:
+        """Add a row; without a deviation what is given is kept."""
+        def numbers(one: ArrayLike | None) -> tuple[float, ...]:
+            return () if one is None else tuple(np.ravel(one).tolist())
+
+        kept = numbers(value if deviation is not None else given)
+        self.rows.append(Row(name, unit, kept, numbers(deviation), numbers(given), remark))
+
+
+def identified(
+    recorded: Recorded, given: Given, distance: float | None = None, tape: float = 1e-3,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Identified:
+    """Return what a recording shows of a robot.
+
+    `distance` [m] is the length of a straight way that was measured, with a deviation of `tape`
+    [m]; poses are then those of an odometry. `InvalidInputError` is raised where the recording
+    has not what is needed.
+    """
+    found = Identified(given.robot)
+    late, fastest = 0.0, float(np.max(np.abs(recorded.speeds), initial=0.0))
+    if distance is not None:
+        _of_distance(found, recorded, distance, tape)
+    elif not recorded.joint_times.size:
+        raise InvalidInputError(
+            "rotor speeds", Description("none"),
+            "those on joint_states [rad/s], from which the motion follows",
+        )
+    elif fastest * given.robot.lumped.input_gain < _LEAST_RATE:
+        raise InvalidInputError(
+            "motion", Description(f"rotor speeds up to {fastest:.2g} rad/s"),
+            "some that roll the sphere to all sides, as of examples/identification_motion.py",
+        )
+    elif recorded.are_outside:
+        late = _of_poses(found, recorded, given, progress)
+    else:
+        raise InvalidInputError(
+            "poses", Description("none from outside"), "poses of a camera or motion capture, or "
+            "--distance for a way that was measured",
+        )
+    if recorded.commands is not None and recorded.joint_times.size:
+        progress("drives")
+        drives = identified_drives(
+            recorded.commands, recorded.joint_times, recorded.speeds
+        )
+        if drives is not None:
+            _of_drives(found, drives, given, late)
+    return found
+
+
+def _of_poses(
+    found: Identified, recorded: Recorded, given: Given, progress: Callable[[str], None]
+) -> float:
+    """Add what poses from outside show; return by how much their stamps are late [s]."""
+    fit = BatchFit(
+        Rolling(recorded.times, recorded.poses, recorded.joint_times, recorded.speeds), given.robot
+    )
+    count = len(fit.pieces)
+    if count < _FEWEST:
+        raise InvalidInputError(
+            "recording", Description(f"{count} pieces of {fit.length:.2g} s"),
+            f"{_FEWEST} or more with poses and rotor speeds",
+        )
+    whole = list(range(count))
+    progress(f"constants: half of {count} pieces, of {fit.length:.2g} s")
+    half = fit.fitted(whole[::2])
+    before, after = fit.left(whole[1::2], fit.given), fit.left(whole[1::2], half)
+    progress("constants: all pieces")
+    estimate = fit.fitted(whole, half)
+    found.check = (
+        f"; half of the bag predicts the other half within {_errors(after)}, the given robot "
+        f"within {_errors(before)}"
+    )
+    _add_constants(found, fit, estimate, given)
+    noise = estimate.noise / math.sqrt(recorded.times.size)
+    names = ("pose_position_noise", "pose_orientation_noise")
+    for name, unit, value, deviation in zip(
+        names, ("m", "rad"), estimate.noise, noise / np.sqrt((4.0, 6.0)), strict=True
+    ):
+        found.add(name, unit, value, deviation, getattr(given.controller, name))
+        found.controller[name] = Entry(_rounded(value, 3), "what the motion leaves of the poses")
+    if recorded.readings is not None:
+        _add_mounting(found, fit, estimate, recorded.readings, given, progress)
+    return -float(estimate.common[OFFSET])
+
+
+def _errors(left: Vector) -> str:
+    return f"{1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad"
+
+
+def _add_constants(
+    found: Identified, fit: BatchFit, estimate: Estimate, given: Given
+) -> None:
+    """Add constants, offset, slope and centre of mass, and change the robot."""
+    constants, deviations = fit.constants(estimate.common), estimate.deviations
+    names = ("robot.shell_radius", "c1", "r1", "r3")
+    for i, (name, nominal) in enumerate(zip(names, fit.nominal, strict=True)):
+        deviation = nominal * deviations[i] if estimate.seen[i] else None
+        found.add(name, "m" if i == 0 else "", constants[i], deviation, nominal)
+    covariance = (estimate.covariance * np.outer(estimate.seen, estimate.seen))[:4, :4]
+    covariance *= np.outer(fit.nominal, fit.nominal)
+    try:
+        found.robot = with_constants(given.robot, LumpedConstants(*constants.tolist()))
+        told = deviations_of(given.robot, constants, covariance)
+    except InvalidParameterError as error:
+        raise InvalidInputError(
+            "constants", Description(", ".join(f"{one:.4g}" for one in constants)),
+            f"those of a robot with the given masses ({error})",
+        ) from None
+    for name in ("shell_radius", *CHANGED):
+        found.notes[name] = f"+- {told[name]:.2g}" if told[name] else AS_GIVEN
+    if not estimate.seen[0]:
+        found.notes["shell_radius"] = AS_GIVEN
+    seen = deviations[OFFSET] if estimate.seen[OFFSET] else None
+    found.add("offset of pose stamps", "s", -estimate.common[OFFSET], seen, 0.0,
+              "late against joint_states")
+    torque = found.robot.rotor_axial_inertia / (found.robot.total_mass * GRAVITY)
+    slope = np.degrees(torque / found.robot.shell_radius)
+    found.add("slope along x and y", "deg", slope * estimate.common[[6, 5]] * (1.0, -1.0),
+              slope * deviations[[6, 5]], remark="of the floor, downwards")
+    found.add("centre of mass", "mm", 1e3 * torque * estimate.common[7:],
+              1e3 * torque * deviations[7:], remark="beside the centre of the shell")
+
+
+def _add_mounting(
+    found: Identified, fit: BatchFit, estimate: Estimate, readings: Readings, given: Given,
+    progress: Callable[[str], None],
+) -> None:
+    """Add what readings of an IMU show beside the poses, with deviations by leaving pieces out."""
+    step = _TRACK_STEP * RobotUnits.of(given.robot).time
+
+    def mounted(chosen: list[int], at: Estimate) -> Mounted:
+        radius = float(fit.constants(at.common)[0])
+        return identified_mounting(readings, fit.track(chosen, at, step), radius, _MARGIN)
+
+    whole = list(range(len(fit.pieces)))
+    best = mounted(whole, estimate)
+    others = []
+    groups = min(_GROUPS, len(whole))
+    for group in range(groups):
+        progress(f"IMU: {group + 1} of {groups}")
+        chosen = [k for k in whole if k % groups != group]
+        others.append(mounted(chosen, fit.fitted(chosen, estimate)))
+    _add_imu(found, best.with_scatter(others), given)
+
+
+def _add_imu(found: Identified, imu: Mounted, given: Given) -> None:
+    """Add the rows and parameters of an IMU."""
+    late, deviation = imu.offset
+    found.add("offset of IMU stamps", "s", late, deviation, 0.0, "late against joint_states")
+    place, turn = imu.position, imu.orientation
+    found.add("imu.position", "m", *place, given.imu.position)
+    found.add("imu.orientation", "", turn[0], (np.nan, *turn[1]), given.imu.orientation,
+              "deviations: rotation about the axes of the body [rad]")
+    found.add("gyro bias", "rad/s", *imu.gyro_bias)
+    found.add("gyro scale", "", *imu.gyro_scale, remark="above 1")
+    found.add("accelerometer bias", "m/s^2", *imu.accelerometer_bias)
+    found.add("accelerometer scale", "", *imu.accelerometer_scale, remark="above 1")
+    found.odometry["imu.position"] = Entry(
+        tuple(_rounded(one, 5) for one in place[0]), f"+- {_list(place[1])} m"
+    )
+    found.odometry["imu.orientation"] = Entry(
+        tuple(_rounded(one, 7) for one in turn[0]), f"+- {_list(turn[1])} rad about body axes"
+    )
+    where = "at rest" if imu.at_rest else "in motion"
+    names = ("imu.gyro_noise", "imu.accelerometer_noise")
+    for name, unit, value in zip(
+        names, ("rad/s/sqrt(Hz)", "m/s^2/sqrt(Hz)"), imu.noises, strict=True
+    ):
+        told = getattr(given.imu, name.partition(".")[2])
+        found.add(name, unit, value, value / math.sqrt(6.0 * imu.count), told, where)
+        found.odometry[name] = Entry(_rounded(value, 3), where)
+
+
+def _of_distance(found: Identified, recorded: Recorded, distance: float, tape: float) -> None:
+    """Add the radius by a straight way that was measured, and that odometry has estimated."""
+    if not recorded.times.size:
+        raise InvalidInputError("poses", Description("none"), "those of an odometry")
+    height = recorded.height
+    radius, rolled = rolled_radius(recorded.times, recorded.poses[:, :2], height, distance)
+    deviation = tape * height / rolled
+    found.add("robot.shell_radius", "m", radius, deviation, height,
+              f"{distance:g} m measured, {rolled:.4f} m estimated")
+    found.robot = replace(found.robot, shell_radius=_rounded(radius, 5))
+    found.notes["shell_radius"] = f"+- {deviation:.2g}, by a way of {distance:g} m"
+
+
+def _of_drives(found: Identified, drives: Drives, given: Given, late: float) -> None:
+    """Add lag and limits of the drives; `late` is by how much stamps of poses are [s]."""
+    lag, deviation = drives.lag
+    found.add("lag of the drives", "s", lag, deviation, remark="behind the commands")
+    whole = min(max(lag + late, 0.0), _LONGEST_LAG)
+    found.controller = {
+        "drive_lag": Entry(_rounded(whole, 4), f"+- {deviation:.2g}, with the pose stamps'"),
+        **found.controller,
+    }
+    limits = drives.acceleration, drives.speed
+    names = ("max_rotor_acceleration", "max_rotor_speed")
+    for name, limit, attained, unit in zip(
+        names, limits, drives.attained, ("rad/s^2", "rad/s"), strict=True
+    ):
+        told = getattr(given.robot, name)
+        if limit is None:
+            found.add(f"robot.{name}", unit, told, None, told, f"not reached up to {attained:.4g}")
+            found.notes[name] = AS_GIVEN
+            continue
+        found.add(f"robot.{name}", unit, limit[0], limit[1], told, "as attained")
+        # Downwards, as plans must not exceed what is attained.
+        value = math.floor(limit[0] * 10.0) / 10.0
+        found.robot = replace(found.robot, **{name: value})
+        found.notes[name] = f"+- {limit[1]:.2g}, as attained"
+
+
+def _rounded(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _list(values: Sequence[float] | Vector) -> str:
+    return ", ".join(f"{one:.2g}" for one in values)

@@ -6,13 +6,14 @@
 python examples/identification_motion.py            # a minute, within 2 m for the robot of Table 1
 python examples/identification_motion.py 1.15       # commands up to 1.15 of max_rotor_speed
 
-It rests for three seconds, in which noise and biases show, then rolls out and back again and again,
-each time to another side, and rests again. Speeds come in steps, so that the drives show what
-acceleration they attain; only commands beyond what they attain show their largest speed. Stop the
-controller before, and record topics as `sphere_nmpc identify` needs them.
+It rests for three seconds, in which noise and biases show, then rolls out and back again and
+again, each time to another side, and rests again. Speeds come in steps, so that the drives show what
+acceleration they attain; only commands beyond what they attain show their largest speed. It needs
+no controller, which would have to be disabled.
 """
 
 import sys
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ def motion(beyond: float = 1.0) -> tuple[Vector, Vector]:
             out = np.array(((beyond, 0.0), (0.0, beyond))) * MAX_ROTOR_SPEED
         first = False
         path = [np.zeros(2), *out, np.zeros(2), *-out[::-1], np.zeros(2)]
-        for before, speed in zip(path, path[1:], strict=False):
+        for before, speed in pairwise(path):
             times.append(now)
             speeds.append(speed)
             # A step counts from its middle, so that the way back is as long as the way out.
@@ -54,12 +55,13 @@ def motion(beyond: float = 1.0) -> tuple[Vector, Vector]:
 def main() -> None:
     """Publish the motion in the time of the node."""
     import rclpy
+    from rclpy.utilities import remove_ros_args
     from std_msgs.msg import Float64MultiArray
 
     rclpy.init()
     node = rclpy.create_node("identification_motion")
     publisher = node.create_publisher(Float64MultiArray, "rotor_commands", 10)
-    times, speeds = motion(*map(float, sys.argv[1:2]))
+    times, speeds = motion(*map(float, remove_ros_args(sys.argv)[1:]))
     began: list[int] = []
 
     def publish() -> None:

@@ -3,6 +3,7 @@
 """``sphere_nmpc identify``: the parameters of a robot from a recorded bag."""
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,9 @@ from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.foreign_text import printable_line
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.identification.bag import read_recorded
+from sphere_sim.identification.identify import Given, Row, identified
+from sphere_sim.identification.robot_file import parameters_of, taken, written
 from sphere_sim.output.arguments import positive
 from sphere_sim.output.files import printable, write_atomically
 
@@ -26,22 +30,9 @@ those identified.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table and write the file of parameters; return 0."""
     given = parse(sys.argv[1:] if arguments is None else arguments)
-    from sphere_sim.identification.bag import read_recorded
-    from sphere_sim.identification.identify import Given, Row, identified
-    from sphere_sim.identification.robot_file import parameters_of, taken, written
 
     def say(text: str) -> None:
         print(printable_line(f"identify: {text}"), file=sys.stderr, flush=True)
-
-    def shown(row: Row) -> tuple[str, str, str, str]:
-        def numbers(values: Sequence[float], digits: int) -> str:
-            return " ".join(f"{one:.{digits}g}" for one in values if one == one)
-
-        unit = f" {row.unit}" if row.unit else ""
-        deviation = f"+- {numbers(row.deviation, 2)}" if row.deviation else "not seen"
-        nominal = f"given {numbers(row.given, 5)}" if row.given else ""
-        remark = f"({row.remark})" if row.remark else ""
-        return row.name, f"{numbers(row.value, 6)}{unit}", deviation, f"{nominal} {remark}".strip()
 
     recorded = read_recorded(given.bag, given.namespace, given.pose_topic)
     for note in recorded.notes:
@@ -52,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         taken(ImuSettings(), "imu.", known),
     )
     found = identified(recorded, start, given.distance, given.tape, say)
-    rows = [shown(row) for row in found.rows]
+    rows = [_cells(row) for row in found.rows]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
     for row in rows:
         cells = [f"{text:<{width}}" for text, width in zip(row[:3], widths, strict=True)]
@@ -63,6 +54,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_atomically(given.out, written(found.sections, head))
         print(f"parameters in {printable(given.out)}")
     return 0
+
+
+def _cells(row: Row) -> tuple[str, str, str, str]:
+    """Return name, value, deviation, and what else is to be said of a quantity."""
+    known = [one for one in row.deviation if 0.0 < one < math.inf]
+    # Two digits of the least deviation; six where there is none.
+    places = 1 - math.floor(math.log10(min(known))) if known else 0
+
+    def numbers(values: Sequence[float]) -> str:
+        return " ".join(f"{one:.{max(places, 0)}f}" if known else f"{one:.6g}" for one in values)
+
+    deviation = f"+- {numbers(row.deviation)}" if row.deviation else "not seen"
+    nominal = f"given {' '.join(f'{one:.5g}' for one in row.given)}" if row.given else ""
+    remark = f"({row.remark})" if row.remark else ""
+    value = f"{numbers(row.value)} {row.unit}".rstrip()
+    return row.name, value, deviation, f"{nominal} {remark}".strip()
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -102,7 +102,7 @@ def _commands(
     messages: Messages, robot: Robot, clock: BagClock, reader: TopicReader
 ) -> Commands | None:
     """Return the commands of a robot: trajectories, or else speeds at their log times."""
-    holds = reader.plans()
+    holds = reader.plans() if robot.rotor_trajectory in messages.decoded else ()
     if holds:
         return Commands.of_holds(holds)
     found = [

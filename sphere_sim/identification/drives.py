@@ -23,6 +23,10 @@ _GROUP = 2.0
 """Time within which errors may depend on each other [s]."""
 _FEWEST = 50
 """Rotor speeds beside commands that are enough."""
+_FOLLOWED = 0.3
+"""Share of the rotor speeds that may remain unexplained where they follow the commands [-]."""
+_UNLIMITED = 1e9
+"""Limit beyond any [rad/s^2, rad/s]."""
 _STEEP = 0.98
 """Share of the slopes below the acceleration that the fit begins with [-]."""
 
@@ -100,7 +104,7 @@ class Drives:
 def identified_drives(
     commands: Commands, times: Vector, speeds: Vector
 ) -> Drives | None:
-    """Return what rotor speeds (N, 2) [rad/s] at times [s] show; None without a motion."""
+    """Return what rotor speeds (N, 2) [rad/s] at times [s] show; None where they do not follow."""
     commands = commands.simplified()
     place = np.searchsorted(commands.ends[:, 0], times, side="right") - 1
     inside = (place >= 0) & (times <= commands.ends[np.maximum(place, 0), 1])
@@ -125,7 +129,7 @@ def identified_drives(
     values = np.array([0.0, max(steep, 1.0), min(largest, fast)])
     costs = [float(np.sum(residuals(float(lag), *values[1:].tolist()) ** 2)) for lag in _LAGS]
     values[0] = _LAGS[int(np.argmin(costs))]
-    unlimited = np.array([0.0, np.inf, np.inf])
+    unlimited = np.array([0.0, _UNLIMITED, _UNLIMITED])
     units = np.array([0.1, values[1], values[2]])
     free = np.ones(3, dtype=bool)
     while True:
@@ -144,6 +148,8 @@ def identified_drives(
         if not unseen.any():
             break
         free &= ~unseen
+    if not left < _FOLLOWED * float(np.sqrt(np.mean(speeds**2))):
+        return None
     told = {
         i: (float(value), float(deviation))
         for i, value, deviation in zip(chosen.tolist(), found, deviations, strict=True)

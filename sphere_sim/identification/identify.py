@@ -38,10 +38,14 @@ _GROUPS = 8
 """Groups of pieces, each of which is left out once to find the deviations of a mounting."""
 _FEWEST = 4
 """Pieces of motion from which on half of them checks the other half."""
+_FEW_OUTLIERS = 1e-3
+"""Share of the poses that are left out also without any that is wrong [-]."""
 _LONGEST_LAG = 0.05
 """Largest lag that the controller takes [s]."""
 _LEAST_RATE = 0.02
 """Angular velocity below which there is no motion that shows constants [rad/s]."""
+_LIMITS = (("max_rotor_acceleration", "rad/s^2"), ("max_rotor_speed", "rad/s"))
+"""Limits of the drives, and their units."""
 AS_GIVEN = "not seen, as given"
 
 
@@ -140,13 +144,17 @@ def identified(
             "poses", Description("none from outside"), "poses of a camera or motion capture, or "
             "--distance for a way that was measured",
         )
+    drives, why = None, "no commands in the bag"
     if recorded.commands is not None and recorded.joint_times.size:
         progress("drives")
-        drives = identified_drives(
-            recorded.commands, recorded.joint_times, recorded.speeds
-        )
-        if drives is not None:
-            _of_drives(found, drives, given, late)
+        drives = identified_drives(recorded.commands, recorded.joint_times, recorded.speeds)
+        why = "rotor speeds do not follow the commands"
+    if drives is not None:
+        _of_drives(found, drives, given, late)
+    else:
+        found.add("lag of the drives", "s", 0.0, None, given.controller.drive_lag, why)
+        for name, unit in _LIMITS:
+            found.add(f"robot.{name}", unit, 0.0, None, getattr(given.robot, name), why)
     return found
 
 
@@ -173,8 +181,11 @@ def _of_poses(
         f"; half of the bag predicts the other half within {_errors(after)}, the given robot "
         f"within {_errors(before)}"
     )
+    if estimate.left_out > _FEW_OUTLIERS * recorded.times.size:
+        found.check += f"; {estimate.left_out} of {recorded.times.size} poses are outliers"
     _add_constants(found, fit, estimate, given)
-    noise = estimate.noise / math.sqrt(recorded.times.size)
+    # Of a median, which is 1.25 times that of a mean.
+    noise = 1.25 * estimate.noise / math.sqrt(recorded.times.size)
     names = ("pose_position_noise", "pose_orientation_noise")
     for name, unit, value, deviation in zip(
         names, ("m", "rad"), estimate.noise, noise / np.sqrt((4.0, 6.0)), strict=True
@@ -252,8 +263,8 @@ def _add_imu(found: Identified, imu: Mounted, given: Given) -> None:
     found.add("offset of IMU stamps", "s", late, deviation, 0.0, "late against joint_states")
     place, turn = imu.position, imu.orientation
     found.add("imu.position", "m", *place, given.imu.position)
-    found.add("imu.orientation", "", turn[0], (np.nan, *turn[1]), given.imu.orientation,
-              "deviations: rotation about the axes of the body [rad]")
+    found.add("imu.orientation", "", turn[0], turn[1], given.imu.orientation,
+              "deviation: rotation about the axes of the body [rad]")
     found.add("gyro bias", "rad/s", *imu.gyro_bias)
     found.add("gyro scale", "", *imu.gyro_scale, remark="above 1")
     found.add("accelerometer bias", "m/s^2", *imu.accelerometer_bias)
@@ -297,10 +308,7 @@ def _of_drives(found: Identified, drives: Drives, given: Given, late: float) -> 
         **found.controller,
     }
     limits = drives.acceleration, drives.speed
-    names = ("max_rotor_acceleration", "max_rotor_speed")
-    for name, limit, attained, unit in zip(
-        names, limits, drives.attained, ("rad/s^2", "rad/s"), strict=True
-    ):
+    for (name, unit), limit, attained in zip(_LIMITS, limits, drives.attained, strict=True):
         told = getattr(given.robot, name)
         if limit is None:
             found.add(f"robot.{name}", unit, told, None, told, f"not reached up to {attained:.4g}")

@@ -113,9 +113,10 @@ def parameters_of(path: Path) -> dict[str, Any]:
         try:
             whole = yaml.safe_load(stream.read())
             found: dict[str, Any] = {}
-            for node in whole:
+            for node, entries in whole.items():
+                values = entries["ros__parameters"]
                 if node.split("/")[-1] in ("**", "controller", "odometry"):
-                    _flatten(whole[node]["ros__parameters"], "", found)
+                    _flatten(values, "", found)
         except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, AttributeError,
                 RecursionError):
             raise InvalidFileError(

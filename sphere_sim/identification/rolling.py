@@ -42,8 +42,10 @@ _SEEN = 0.5
 """Standard deviation over the expected one from which on an unknown is not seen [-]."""
 _FEWEST = 10
 """Poses of a piece that are worth their eight unknowns."""
-_LEAST = 1e-7
-"""Standard deviation of a pose by rounding [m, rad]."""
+_LEAST = 1e-6
+"""Standard deviation of a pose by rounding, and step of one that is small enough [m, rad]."""
+_SETTLED = 1e-2
+"""Relative change of the noise below which it has converged [-]."""
 _LONGEST_GAP = 0.2
 """Longest time between two rotor speeds that counts as known [s]."""
 
@@ -110,7 +112,8 @@ class Estimate:
     starts : list of ndarray, each of shape (9,)
         State at the first pose of each piece.
     noise : ndarray, shape (2,)
-        Root mean square of what is left of positions [m] and orientations [rad].
+        Root mean square of what is left of positions [m] and orientations [rad], in the median of
+        the pieces.
     seen : ndarray of bool, shape (10,)
         Which unknowns the motion shows; the others are as given.
     left_out : int
@@ -206,20 +209,23 @@ class BatchFit:
 
     def _solved(self, chosen: list[int], begin: Estimate, free: NDArray[np.bool_]) -> Estimate:
         common, starts = begin.common.copy(), [state.copy() for state in begin.starts]
-        noise: Vector = np.full(2, np.inf)
-        weights, left_out = np.ones(5), 0
+        scales: Vector = np.full((len(chosen), 2), np.inf)
         columns = np.flatnonzero(free)
         prior = np.diag(1.0 / self._expected[columns] ** 2)
         for _ in range(_ITERATIONS):
             parts = [self._linearised(k, starts[k], common) for k in chosen]
-            kept = [self._kept(residual, noise) for residual, _, _ in parts]
-            before, noise = noise, self._noise(parts, kept, columns.size)
-            left_out = sum(int(np.sum(~one)) for one in kept)
-            weights = np.repeat(1.0 / noise, (2, 3))
+            kept = [
+                np.sum((part[0] / np.repeat(scale, (2, 3))) ** 2, axis=1) < self._outlier
+                for part, scale in zip(parts, scales, strict=True)
+            ]
+            before, scales = scales, _scales([
+                part[0][one] for part, one in zip(parts, kept, strict=True)
+            ])
             information = prior.copy()
             gradient = prior @ (self.given.common - common)[columns]
             scores, backs = list[Vector](), list[tuple[Vector, Vector]]()
-            for (residual, by_local, by_common), one in zip(parts, kept, strict=True):
+            for part, one, scale in zip(parts, kept, scales, strict=True):
+                (residual, by_local, by_common), weights = part, np.repeat(1.0 / scale, (2, 3))
                 r = (residual[one] * weights).ravel()
                 a = (by_local[one] * weights[:, None]).reshape(-1, _LOCAL)
                 b = (by_common[one] * weights[:, None]).reshape(-1, _COMMON)[:, columns]
@@ -239,9 +245,9 @@ class BatchFit:
                 change = alone - gain @ step
                 moved = max(moved, float(np.max(np.abs(change[2:5]))))
                 starts[k] = apply_error(starts[k], change)
-            settled = np.all(np.abs(before - noise) < 1e-3 * noise)
+            settled = np.all(np.abs(before - scales) < _SETTLED * scales)
             ratio = np.abs(step) / np.sqrt(np.diag(covariance))
-            if settled and np.all(ratio < _CONVERGED) and moved < 1e-6:
+            if settled and np.all(ratio < _CONVERGED) and moved < _LEAST:
                 break
         whole = np.diag(self._expected**2)
         if columns.size:
@@ -249,24 +255,8 @@ class BatchFit:
             spread = covariance @ (found.T @ found) @ covariance
             larger = np.sqrt(np.maximum(np.diag(spread) / np.diag(covariance), 1.0))
             whole[np.ix_(columns, columns)] = covariance * np.outer(larger, larger)
-        return Estimate(common, whole, starts, noise, free, left_out)
-
-    def _kept(self, residual: Vector, noise: Vector) -> NDArray[np.bool_]:
-        """Return which poses are not improbable."""
-        squares = np.sum((residual / np.repeat(noise, (2, 3))) ** 2, axis=1)
-        found: NDArray[np.bool_] = squares < self._outlier
-        return found
-
-    def _noise(
-        self, parts: list[tuple[Vector, Vector, Vector]], kept: list[NDArray[np.bool_]],
-        unknowns: int,
-    ) -> Vector:
-        """Return the scale of the residuals [m, rad], robust at first, while all are kept."""
-        errors = np.concatenate([part[0][one] for part, one in zip(parts, kept, strict=True)])
-        lost = 1.0 - (_LOCAL * len(parts) + unknowns) / (5.0 * len(errors))
-        found = np.array([np.sqrt(np.mean(part**2) / max(lost, 0.1))
-                          for part in (errors[:, :2], errors[:, 2:])])
-        return np.maximum(found, _LEAST)
+        left_out = sum(int(np.sum(~one)) for one in kept)
+        return Estimate(common, whole, starts, np.min(scales, axis=0), free, left_out)
 
     def _linearised(
         self, index: int, start: Vector, common: Vector
@@ -313,3 +303,17 @@ class BatchFit:
         return np.array([
             error_between(a[POSE], b[POSE]) for a, b in zip(states, later, strict=True)
         ]) / SHORTEST
+
+
+def _scales(residuals: list[Vector]) -> Vector:
+    """Return the noise of positions [m] and orientations [rad] in each piece, shape (n, 2).
+
+    It is that of what is left there, so that a slip counts for little, and at least the median.
+    """
+    own = []
+    for left in residuals:
+        kept = max(1.0 - _LOCAL / (5.0 * max(len(left), 1)), 0.1)
+        squares = np.array([np.mean(left[:, :2] ** 2), np.mean(left[:, 2:] ** 2)])
+        own.append(np.sqrt(squares / kept))
+    found: Vector = np.maximum(np.maximum(own, np.median(own, axis=0)), _LEAST)
+    return found

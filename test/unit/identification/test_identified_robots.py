@@ -59,6 +59,7 @@ def test_poses_that_are_late_make_the_controllers_lag_longer(first) -> None:
     assert lag == pytest.approx(max(first.lag + first.late, 0.0), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_mounting_of_an_imu_is_found() -> None:
     one = drawn(2, with_imu=True)
     result = errors(one, of(one))

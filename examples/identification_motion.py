@@ -7,9 +7,9 @@ python examples/identification_motion.py            # a minute, within 2 m for t
 python examples/identification_motion.py 1.15       # commands up to 1.15 of max_rotor_speed
 
 It rests for three seconds, in which noise and biases show, then rolls out and back again and
-again, each time to another side, and rests again. Speeds come in steps, so that the drives show what
-acceleration they attain; only commands beyond what they attain show their largest speed. It needs
-no controller, which would have to be disabled.
+again, each time to another side, and rests again. Speeds come in steps, so that the drives show
+what acceleration they attain; only commands beyond what they attain show their largest speed. It
+needs no controller, which would have to be disabled.
 """
 
 import sys

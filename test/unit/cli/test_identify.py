@@ -81,7 +81,8 @@ def test_table_and_file_are_those_of_the_robot(tmp_path, capsys, drawn) -> None:
 @pytest.mark.slow
 def test_given_file_says_what_is_kept(tmp_path, capsys, drawn) -> None:
     bag, given = bag_of(tmp_path / "bag", drawn, "/imu", "/rotor_commands"), tmp_path / "a.yaml"
-    given.write_text("/**:\n  ros__parameters:\n    robot: {max_rotor_speed: 90, rotor_mass: 0.8}\n")
+    robot = {"max_rotor_speed": 90, "rotor_mass": 0.8}
+    given.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"robot": robot}}}))
     file = tmp_path / "robot.yaml"
     assert main(["identify", str(bag), "--params-file", str(given), "--out", str(file)]) == 0
     out = capsys.readouterr().out

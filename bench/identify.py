@@ -5,6 +5,7 @@
     python bench/identify.py --draw 100 --seed 1            # about ten minutes
     python bench/identify.py --draw 20 --seed 1 --imu       # an IMU beside the poses
     python bench/identify.py --draw 20 --seed 1 --plant rigid_body
+    python bench/identify.py --draw 20 --seed 1 --inside    # IMU and exact encoders alone
 
 Each robot has masses, sizes and inertias that are up to 10 % (`--wrong`) off those given, as are
 the limits of its drives, a lag up to 20 ms, and stamps of poses up to 20 ms early or late. Poses
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -65,7 +67,7 @@ class Drawn:
 
     def __init__(
         self, seed: int, wrong: float = 0.1, plant: str = "rolling", with_imu: bool = False,
-        duration: float = 60.0,
+        duration: float = 60.0, inside: bool = False,
     ) -> None:
         rng = np.random.default_rng([seed, 20])
         self.given = RobotParameters()
@@ -87,7 +89,12 @@ class Drawn:
             ),
             self.robot, imu=self.imu if with_imu else None,
         )
+        self._speed_noise = 0.0 if inside else SPEED_NOISE
         self.recorded = self._recorded(rng, duration)
+        self.known_imu = self.imu if inside else ImuSettings()
+        """What is known of the IMU: from inside its axes are not found."""
+        if inside:
+            self.recorded = replace(self.recorded, are_outside=False)
 
     @property
     def true(self) -> dict[str, tuple[float, ...]]:
@@ -126,7 +133,7 @@ class Drawn:
             np.array([one.stamp / _SECOND for one in readings]),
             np.array([one.rate for one in readings]), np.array([one.force for one in readings]),
         ) if readings else None
-        noisy = np.array(speeds) + SPEED_NOISE * rng.normal(size=(at.size, 2))
+        noisy = np.array(speeds) + self._speed_noise * rng.normal(size=(at.size, 2))
         return Recorded(
             at + self.late, np.array(poses), True, self.robot.shell_radius, at, noisy,
             Commands.of_speeds(at - self.lag, wanted[place]), inertial, {}, [],
@@ -153,8 +160,11 @@ def errors(drawn: Drawn, found: Identified) -> dict[str, list[float]]:
 
 def one(number: int, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the errors of a robot."""
-    drawn = Drawn(1000 * arguments.seed + number, arguments.wrong, arguments.plant, arguments.imu)
-    found = identified(drawn.recorded, Given(drawn.given))
+    drawn = Drawn(
+        1000 * arguments.seed + number, arguments.wrong, arguments.plant,
+        arguments.imu or arguments.inside, inside=arguments.inside,
+    )
+    found = identified(drawn.recorded, Given(drawn.given, imu=drawn.known_imu))
     away = np.linalg.norm(drawn.recorded.poses[:, :2], axis=1)
     return {"errors": errors(drawn, found), "reach": float(np.max(away)), "check": found.check}
 
@@ -167,6 +177,7 @@ def main() -> None:
     parser.add_argument("--wrong", type=float, default=0.1)
     parser.add_argument("--plant", default="rolling")
     parser.add_argument("--imu", action="store_true")
+    parser.add_argument("--inside", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     limit_library_threads()

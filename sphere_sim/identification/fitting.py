@@ -10,6 +10,8 @@ from scipy.optimize import least_squares
 
 from sphere_nmpc.model.state import Vector
 
+_ROUNDING = 1e-8
+"""Least deviation of an unknown in its unit [-]."""
 _LEAST = 1e-12
 """Information of an unknown without effect, over that of one in its unit [-]."""
 
@@ -45,4 +47,5 @@ def fitted(
     np.add.at(scores, groups, jacobian * left[:, None])
     spread = inverse @ scores.T @ scores @ inverse
     deviations = np.sqrt(np.maximum(np.diag(inverse) * square, np.diag(spread)))
+    deviations = np.maximum(deviations, _ROUNDING)
     return start + found.x * units, deviations * units, float(np.sqrt(square))

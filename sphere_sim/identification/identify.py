@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
@@ -19,7 +20,8 @@ from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.identification.bag import Recorded
 from sphere_sim.identification.drives import Drives, identified_drives
-from sphere_sim.identification.inertial import Mounted, Readings, identified_mounting
+from sphere_sim.identification.inertial import Mounted, Readings, Value, identified_mounting
+from sphere_sim.identification.inside import Balance, identified_place, track_of
 from sphere_sim.identification.robot_file import (
     CHANGED,
     Entry,
@@ -36,6 +38,8 @@ _MARGIN = 0.05
 """Largest offset of the stamps of an IMU [s]."""
 _GROUPS = 8
 """Groups of pieces, each of which is left out once to find the deviations of a mounting."""
+_PASSES = 2
+"""Runs of the odometry, the second with the constants of the first."""
 _FEWEST = 4
 """Pieces of motion from which on half of them checks the other half."""
 _FEW_OUTLIERS = 1e-3
@@ -139,10 +143,12 @@ def identified(
         )
     elif recorded.are_outside:
         late = _of_poses(found, recorded, given, progress)
+    elif recorded.readings is not None:
+        _of_inside(found, recorded, recorded.readings, given, progress)
     else:
         raise InvalidInputError(
-            "poses", Description("none from outside"), "poses of a camera or motion capture, or "
-            "--distance for a way that was measured",
+            "poses", Description("none from outside, and no readings of an IMU"),
+            "those of a camera or motion capture, or imu",
         )
     drives, why = None, "no commands in the bag"
     if recorded.commands is not None and recorded.joint_times.size:
@@ -204,26 +210,11 @@ def _errors(left: Vector) -> str:
 def _add_constants(
     found: Identified, fit: BatchFit, estimate: Estimate, given: Given
 ) -> None:
-    """Add constants, offset, slope and centre of mass, and change the robot."""
-    constants, deviations = fit.constants(estimate.common), estimate.deviations
-    names = ("robot.shell_radius", "c1", "r1", "r3")
-    for i, (name, nominal) in enumerate(zip(names, fit.nominal, strict=True)):
-        deviation = nominal * deviations[i] if estimate.seen[i] else None
-        found.add(name, "m" if i == 0 else "", constants[i], deviation, nominal)
-    covariance = (estimate.covariance * np.outer(estimate.seen, estimate.seen))[:4, :4]
-    covariance *= np.outer(fit.nominal, fit.nominal)
-    try:
-        found.robot = with_constants(given.robot, LumpedConstants(*constants.tolist()))
-        told = deviations_of(given.robot, constants, covariance)
-    except InvalidParameterError as error:
-        raise InvalidInputError(
-            "constants", Description(", ".join(f"{one:.4g}" for one in constants)),
-            f"those of a robot with the given masses ({error})",
-        ) from None
-    for name in ("shell_radius", *CHANGED):
-        found.notes[name] = f"+- {told[name]:.2g}" if told[name] else AS_GIVEN
-    if not estimate.seen[0]:
-        found.notes["shell_radius"] = AS_GIVEN
+    """Add constants, offset of the stamps, slope and centre of mass."""
+    shown = estimate.seen[:4] * fit.nominal
+    covariance = estimate.covariance[:4, :4] * np.outer(shown, shown)
+    _change_robot(found, fit.constants(estimate.common), covariance, given)
+    deviations = estimate.deviations
     seen = deviations[OFFSET] if estimate.seen[OFFSET] else None
     found.add("offset of pose stamps", "s", -estimate.common[OFFSET], seen, 0.0,
               "late against joint_states")
@@ -233,6 +224,73 @@ def _add_constants(
               slope * deviations[[6, 5]], remark="of the floor, downwards")
     found.add("centre of mass", "mm", 1e3 * torque * estimate.common[7:],
               1e3 * torque * deviations[7:], remark="beside the centre of the shell")
+
+
+def _change_robot(
+    found: Identified, constants: Vector, covariance: Vector, given: Given
+) -> None:
+    """Add constants with a covariance, (4, 4), zero of what is not seen, and change the robot."""
+    names, nominal = ("robot.shell_radius", "c1", "r1", "r3"), given.robot.lumped.as_array()
+    for i, name in enumerate(names):
+        deviation = math.sqrt(covariance[i, i]) or None
+        found.add(name, "" if i else "m", constants[i], deviation, nominal[i])
+    found.robot = _robot(given, constants)
+    told = deviations_of(given.robot, constants, covariance)
+    for name in ("shell_radius", *CHANGED):
+        found.notes[name] = f"+- {told[name]:.2g}" if told[name] else AS_GIVEN
+
+
+def _robot(given: Given, constants: Vector) -> RobotParameters:
+    """Return a robot with these constants and the given masses."""
+    try:
+        return with_constants(given.robot, LumpedConstants(*constants.tolist()))
+    except InvalidParameterError as error:
+        raise InvalidInputError(
+            "constants", Description(", ".join(f"{one:.4g}" for one in constants)),
+            f"those of a robot with the given masses ({error})",
+        ) from None
+
+
+def _of_inside(
+    found: Identified, recorded: Recorded, readings: Readings, given: Given,
+    progress: Callable[[str], None],
+) -> None:
+    """Add what an IMU and rotor speeds show without poses from outside."""
+    robot, scale = given.robot, given.imu.gyro_scale
+    length = EstimatorSettings().of(RobotUnits.of(robot)).longest
+    for turn in range(_PASSES):
+        progress(f"constants by the odometry: {turn + 1} of {_PASSES}")
+        track = track_of(
+            readings, recorded.joint_times, recorded.speeds, robot, given.imu, length
+        )
+        balance = Balance(track, recorded.joint_times, recorded.speeds, scale)
+        whole = list(range(len(balance.parts)))
+        inside = balance.fitted(whole, robot.lumped)
+        radius, place = identified_place(readings, inside, given.imu, scale)
+        constants: Vector = np.concatenate((radius[0], inside.constants))
+        covariance = np.zeros((4, 4))
+        covariance[0, 0], covariance[1:, 1:] = radius[1][0] ** 2, inside.covariance
+        robot = _robot(given, constants)
+    half = balance.fitted(whole[::2], given.robot.lumped).constants
+    after = balance.left(whole[1::2], LumpedConstants(constants[0], *half.tolist()))
+    before = balance.left(whole[1::2], given.robot.lumped)
+    found.check = (
+        "; half of the bag predicts the angular velocity in the other half within "
+        f"{after:.2g} rad/s, the given robot within {before:.2g} rad/s"
+    )
+    _change_robot(found, constants, covariance, given)
+    found.add("offset of IMU stamps", "s", *inside.offset, 0.0, "late against joint_states")
+    found.add("imu.position", "m", *place, given.imu.position)
+    found.odometry["imu.position"] = _place_entry(place)
+    for name, unit in (("imu.orientation", ""), ("pose_position_noise", "m"),
+                       ("pose_orientation_noise", "rad")):
+        settings = given.imu if name.startswith("imu.") else given.controller
+        found.add(name, unit, 0.0, None, getattr(settings, name.rpartition(".")[2]),
+                  "takes poses from outside")
+
+
+def _place_entry(place: Value) -> Entry:
+    return Entry(tuple(_rounded(one, 5) for one in place[0]), f"+- {_list(place[1])} m")
 
 
 def _add_mounting(
@@ -269,9 +327,7 @@ def _add_imu(found: Identified, imu: Mounted, given: Given) -> None:
     found.add("gyro scale", "", *imu.gyro_scale, remark="above 1")
     found.add("accelerometer bias", "m/s^2", *imu.accelerometer_bias)
     found.add("accelerometer scale", "", *imu.accelerometer_scale, remark="above 1")
-    found.odometry["imu.position"] = Entry(
-        tuple(_rounded(one, 5) for one in place[0]), f"+- {_list(place[1])} m"
-    )
+    found.odometry["imu.position"] = _place_entry(place)
     found.odometry["imu.orientation"] = Entry(
         tuple(_rounded(one, 7) for one in turn[0]), f"+- {_list(turn[1])} rad about body axes"
     )

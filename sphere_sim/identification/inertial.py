@@ -167,7 +167,7 @@ def identified_mounting(
     # The force is a mean over the time since the reading before it.
     pairs = chosen[np.diff(chosen, prepend=-2) == 1]
     now = readings.times[pairs] - late
-    felt, by_place = _forces(track, now, period, radius)
+    felt, by_place = mean_forces(track, now, period, radius)
     felt, by_place = felt @ axes, np.einsum("nji,jk->nki", by_place, axes)
     forces = readings.forces[pairs]
 
@@ -215,7 +215,7 @@ def _axes(rates: Vector, seen: Vector) -> Vector:
     return found
 
 
-def _forces(
+def mean_forces(
     track: Track, times: Vector, period: float, radius: float
 ) -> tuple[Vector, Vector]:
     """Return the mean specific force at the centre over the period before times, and its slope.

@@ -92,7 +92,8 @@ def test_given_file_says_what_is_kept(tmp_path, capsys, drawn) -> None:
 
 
 @pytest.mark.parametrize(("left_out", "told"), [
-    (("/pose",), "sphere_nmpc identify: poses: given none from outside, expected poses of a cam"),
+    (("/pose",), "sphere_nmpc identify: motion beside the odometry: given 0 pieces, expected 4"),
+    (("/pose", "/imu"), "sphere_nmpc identify: poses: given none from outside, and no readings"),
     (("/joint_states",), "sphere_nmpc identify: rotor speeds: given none, expected those on join"),
     (("/pose", "/joint_states"), ": neither poses nor rotor speeds on /joint_states"),
 ])

@@ -67,6 +67,19 @@ def test_mounting_of_an_imu_is_found() -> None:
     assert abs(result["offset of IMU stamps"][0]) < 0.5
 
 
+@pytest.mark.slow
+def test_imu_and_encoders_alone_show_constants_radius_and_place() -> None:
+    one = drawn(3, with_imu=True, inside=True)
+    found = identified(one.recorded, Given(one.given, imu=one.known_imu))
+    result = errors(one, found)
+    for name in ("robot.shell_radius", "c1", "r1", "r3"):
+        assert result[name][0] < 0.01, name
+    assert result["imu.position"][0] < 2e-3
+    unseen = {row.name for row in found.rows if not row.deviation}
+    assert unseen == {"imu.orientation", "pose_position_noise", "pose_orientation_noise"}
+    assert "half of the bag predicts the angular velocity in the other half" in found.summary
+
+
 def test_outliers_are_left_out_and_slip_stays_in_its_piece(first) -> None:
     poses = first.recorded.poses.copy()
     rng = np.random.default_rng(3)
@@ -119,7 +132,7 @@ def test_half_of_the_bag_checks_the_other_half(first) -> None:
 @pytest.mark.parametrize(("changes", "told"), [
     ({"speeds": np.zeros((2001, 2))}, "motion: given rotor speeds up to 0 rad/s, expected some"),
     ({"joint_times": np.empty(0), "speeds": np.empty((0, 2))}, "rotor speeds: given none, expect"),
-    ({"are_outside": False}, "poses: given none from outside, expected poses of a camera"),
+    ({"are_outside": False}, "poses: given none from outside, and no readings of an IMU, expec"),
     ({"times": np.linspace(0.0, 1.0, 2001)}, "recording: given 1 pieces of 2 s, expected 4 or mo"),
 ])
 def test_recording_without_what_is_needed_is_refused_in_a_line(first, changes, told) -> None:

@@ -33,6 +33,7 @@ from sphere_sim.identification.identify import Given, Identified, identified
 from sphere_sim.identification.inertial import Readings
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.world.imu_sensor import SimulatedImuSettings
+from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
 
@@ -89,6 +90,8 @@ class Drawn:
             ),
             self.robot, imu=self.imu if with_imu else None,
         )
+        own = RigidBodySettings().for_robot(self.robot)
+        self._servo = 1.0 / own.drive_bandwidth if plant == "rigid_body" else 0.0
         self._speed_noise = 0.0 if inside else SPEED_NOISE
         self.recorded = self._recorded(rng, duration)
         self.known_imu = self.imu if inside else ImuSettings()
@@ -102,7 +105,7 @@ class Drawn:
         names = ("robot.shell_radius", "c1", "r1", "r3")
         lumped = self.robot.lumped.as_array().tolist()
         found = {name: (value,) for name, value in zip(names, lumped, strict=True)} | {
-            "offset of pose stamps": (self.late,), "lag of the drives": (self.lag,),
+            "offset of pose stamps": (self.late,), "lag of the drives": (self.lag + self._servo,),
             "robot.max_rotor_acceleration": (self.robot.max_rotor_acceleration,),
             "robot.max_rotor_speed": (self.robot.max_rotor_speed,),
             "slope along x and y": (0.0, 0.0), "centre of mass": (0.0, 0.0, 0.0),

@@ -42,6 +42,8 @@ _PASSES = 2
 """Runs of the odometry, the second with the constants of the first."""
 _FEWEST = 4
 """Pieces of motion from which on half of them checks the other half."""
+_LASTING = 1.2
+"""What is left over its part that differs between neighbours from which on that is said [-]."""
 _FEW_OUTLIERS = 1e-3
 """Share of the poses that are left out also without any that is wrong [-]."""
 _LONGEST_LAG = 0.05
@@ -189,6 +191,11 @@ def _of_poses(
     )
     if estimate.left_out > _FEW_OUTLIERS * recorded.times.size:
         found.check += f"; {estimate.left_out} of {recorded.times.size} poses are outliers"
+    if estimate.lasting > _LASTING:
+        found.check += (
+            "; what is left lasts from pose to pose: no noise of poses, but friction, slip, "
+            "smoothing or encoders"
+        )
     _add_constants(found, fit, estimate, given)
     # Of a median, which is 1.25 times that of a mean.
     noise = 1.25 * estimate.noise / math.sqrt(recorded.times.size)

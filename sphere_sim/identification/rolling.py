@@ -6,8 +6,8 @@ A batch of all poses, by least squares. The recording is cut into pieces of some
 its own pose and momentum at its start, so that a push, slip or a rough floor ends with its piece,
 and all have the constants, the offset of the stamps, and slope and imbalance in common. Poses are
 predicted by the controller's integrator from the measured rotor speeds. The covariance is that by
-the residuals, or by the scatter between the pieces, whichever is larger: the latter is where the
-model leaves errors that last.
+the residuals, or by the scatter between the pieces, whichever is larger; where the model leaves
+errors that last, it is increased by as much as they exceed the noise.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ _COMMON, _LOCAL = 10, 8
 _TORQUES = slice(5, 10)
 _OFFSET_DEVIATION = 0.05
 """Standard deviation of the offset of stamps that is expected [s]."""
-_ITERATIONS = 25
+_ITERATIONS = 15
 _CONVERGED = 1e-3
 """Step over the standard deviation below which the iteration has converged [-]."""
 _SEEN = 0.5
@@ -116,6 +116,9 @@ class Estimate:
         the pieces.
     seen : ndarray of bool, shape (10,)
         Which unknowns the motion shows; the others are as given.
+    lasting : float
+        What is left over the part of it that differs between neighbours, at least 1: more than 1
+        where it is not noise of the poses, but what the model lacks.
     left_out : int
         Poses that are too far off to be used.
     """
@@ -125,6 +128,7 @@ class Estimate:
     starts: list[Vector]
     noise: Vector
     seen: NDArray[np.bool_]
+    lasting: float = 1.0
     left_out: int = 0
 
     @property
@@ -255,8 +259,11 @@ class BatchFit:
             spread = covariance @ (found.T @ found) @ covariance
             larger = np.sqrt(np.maximum(np.diag(spread) / np.diag(covariance), 1.0))
             whole[np.ix_(columns, columns)] = covariance * np.outer(larger, larger)
+        left = [part[0][one] for part, one in zip(parts, kept, strict=True)]
+        noise, lasting = np.min(scales, axis=0), _lasting(left)
+        whole[np.ix_(columns, columns)] *= lasting**2
         left_out = sum(int(np.sum(~one)) for one in kept)
-        return Estimate(common, whole, starts, np.min(scales, axis=0), free, left_out)
+        return Estimate(common, whole, starts, noise, free, lasting, left_out)
 
     def _linearised(
         self, index: int, start: Vector, common: Vector
@@ -303,6 +310,17 @@ class BatchFit:
         return np.array([
             error_between(a[POSE], b[POSE]) for a, b in zip(states, later, strict=True)
         ]) / SHORTEST
+
+
+def _lasting(residuals: list[Vector]) -> float:
+    """Return the ratio of residuals to those whose neighbours are independent, at least 1."""
+    whole = np.concatenate(residuals)
+    steps = np.concatenate([np.diff(one, axis=0) for one in residuals])
+    ratios = [
+        np.sqrt(2.0 * np.mean(whole[:, part] ** 2) / max(np.mean(steps[:, part] ** 2), _LEAST**2))
+        for part in (slice(0, 2), slice(2, 5))
+    ]
+    return max(1.0, *map(float, ratios))
 
 
 def _scales(residuals: list[Vector]) -> Vector:

@@ -20,10 +20,14 @@ from sphere_sim.identification.fitting import fitted
 Value: TypeAlias = tuple[Vector, Vector]
 """Numbers, and their standard deviations."""
 _FEWEST = 100
-_STILL = 1e-3
+_REST = 41
+"""Readings in a row, those around one, in which the shell rests."""
+_STILL = 5e-3
 """Angular velocity below which the shell rests [rad/s]."""
 _ABOUT_ONE_AXIS = 0.03
 """Share of the rotation about a second axis up to which the axes of the IMU are not seen [-]."""
+_MEAN_OF = 5
+"""Readings whose forces are taken together."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -164,30 +168,32 @@ def identified_mounting(
     gyro, of, _ = fitted(of_gyro, np.zeros(10), units, np.repeat(groups, 3))
     late, axes = float(gyro[9]), turn(gyro[:3])
 
-    # The force is a mean over the time since the reading before it.
-    pairs = chosen[np.diff(chosen, prepend=-2) == 1]
-    now = readings.times[pairs] - late
-    felt, by_place = mean_forces(track, now, period, radius)
-    felt, by_place = felt @ axes, np.einsum("nji,jk->nki", by_place, axes)
-    forces = readings.forces[pairs]
+    forces = Forces(readings, track, part, late, axes)
 
     def of_accelerometer(values: Vector) -> Vector:
-        seen = felt + np.einsum("nki,i->nk", by_place, values[:3])
-        return np.ravel(seen * (1.0 + values[3:6]) + values[6:9] - forces)
+        return forces.left(radius, values[:3], values[3:6], values[6:9])
 
     units = np.array([*(0.01,) * 3, *(0.01,) * 3, *(0.1,) * 3])
-    place, about, _ = fitted(of_accelerometer, np.zeros(9), units, np.repeat(part[pairs], 3))
-    fast = np.linalg.norm(track.rates_at(times), axis=1)
-    left = [np.reshape(of_gyro(gyro), (-1, 3)), np.reshape(of_accelerometer(place), (-1, 3))]
-    resting = [fast < _STILL, (fast < _STILL)[np.searchsorted(chosen, pairs)]]
-    at_rest = bool(np.sum(resting[1]) >= _FEWEST)
+    place, about, left = fitted(
+        of_accelerometer, np.zeros(9), units, np.repeat(forces.groups, 3)
+    )
+    slow = np.linalg.norm(track.rates_at(times - late), axis=1) < _STILL
+    resting = chosen[np.convolve(slow, np.ones(_REST), mode="same") > _REST - 0.5]
+    at_rest = resting.size >= _FEWEST
+    noises: Vector = np.array([
+        np.std(of_gyro(gyro)) * math.sqrt(period), left * math.sqrt(period * forces.number)
+    ])
     if at_rest:
-        left = [one[still] for one, still in zip(left, resting, strict=True)]
-    noises = np.array([np.sqrt(np.mean(np.var(one, axis=0)) * period) for one in left])
+        # Between neighbours, as tilt and bias differ from rest to rest.
+        after = resting[1:][np.diff(resting) == 1]
+        noises = np.array([
+            np.sqrt(0.5 * period * np.mean((given[after] - given[after - 1]) ** 2))
+            for given in (readings.rates, readings.forces)
+        ])
     return Mounted(
         (late, float(of[9])), (rotation.from_matrix(axes), of[:3]), (place[:3], about[:3]),
         (gyro[6:9], of[6:9]), (gyro[3:6], of[3:6]), (place[6:9], about[6:9]),
-        (place[3:6], about[3:6]), noises, len(left[1]), at_rest,
+        (place[3:6], about[3:6]), noises, resting.size if at_rest else chosen.size, at_rest,
     )
 
 
@@ -215,26 +221,71 @@ def _axes(rates: Vector, seen: Vector) -> Vector:
     return found
 
 
-def mean_forces(
-    track: Track, times: Vector, period: float, radius: float
-) -> tuple[Vector, Vector]:
-    """Return the mean specific force at the centre over the period before times, and its slope.
+class Forces:
+    """Mean specific forces over a few readings each, and those of a motion that is known.
 
-    They are in the body frame, shapes (N, 3) and (N, 3, 3): the latter by the place of the IMU.
+    A force of one reading is a change of velocity over a hundredth of a second, in which the noise
+    of the angular velocity is as large as what moves. `part` has the part of the track of each
+    reading, -1 outside, `late` is the time by which stamps are late [s], and `axes` takes vectors
+    in the axes of the IMU to the body frame.
+
+    Attributes
+    ----------
+    groups : ndarray of int, shape (N,)
+        Part of each mean.
+    number : int
+        Readings in a mean.
     """
-    def sides(at: Vector) -> tuple[Vector, Vector, Vector]:
-        q, rates = track.quaternions_at(at), track.rates_at(at)
-        turns = np.moveaxis(rotation.matrix(q.T), -1, 0)
-        world = np.einsum("nij,nj->ni", turns, rates)
-        velocity = radius * np.cross(world, _UP)
-        crossed = np.cross(rates[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
-        return q, velocity, turns @ crossed
 
-    q_before, before, by_before = sides(times - period)
-    q, velocity, by = sides(times)
-    middle = q + rotation.nearer_sign(q_before, q)
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    turns = np.moveaxis(rotation.matrix(middle.T), -1, 0)
-    force = (velocity - before) / period + GRAVITY * _UP
-    felt: Vector = np.einsum("nji,nj->ni", turns, force)
-    return felt, np.einsum("nji,njk->nik", turns, (by - by_before) / period)
+    def __init__(
+        self, readings: Readings, track: Track, part: NDArray[np.intp], late: float, axes: Vector
+    ) -> None:
+        period = float(np.median(np.diff(readings.times)))
+        self.number = count = _MEAN_OF
+        ends = np.concatenate([
+            np.flatnonzero(part == one)[count::count] for one in np.unique(part[part >= 0])
+        ])
+        span, begins = count * period, ends - count
+        whole = np.abs(readings.times[ends] - readings.times[begins] - span) < 0.5 * period
+        whole &= part[begins] == part[ends]
+        ends, begins = ends[whole], begins[whole]
+        self.groups = part[ends]
+        # A reading is a mean over the time since the one before it.
+        turns = _turns(track, readings.times - late - 0.5 * period)
+        world = np.einsum("nij,nj->ni", turns @ axes, readings.forces)
+        sums = np.cumsum(world, axis=0)
+        middle = _turns(track, readings.times[ends] - late - 0.5 * span) @ axes
+        mean = (sums[ends] - sums[begins]) / count
+        self._measured = np.einsum("nji,nj->ni", middle, mean)
+        self._still = middle.transpose(0, 2, 1) @ (GRAVITY * _UP)
+        times = readings.times[ends] - late
+        changes = [after - before for before, after in zip(
+            _velocities(track, times - span), _velocities(track, times), strict=True
+        )]
+        self._by_radius = np.einsum("nji,nj->ni", middle, changes[0] / span)
+        self._by_place = middle.transpose(0, 2, 1) @ (changes[1] / span)
+
+    def left(self, radius: float, place: Vector, scales: Vector, biases: Vector) -> Vector:
+        """Return what is left of the forces, flat.
+
+        They are given by the radius [m], the place of the IMU [m], relative scales and biases
+        [m/s^2].
+        """
+        seen = self._still + radius * self._by_radius
+        seen = (seen + np.einsum("nki,i->nk", self._by_place, place)) * (1.0 + scales) + biases
+        return np.ravel(seen - self._measured)
+
+
+def _turns(track: Track, times: Vector) -> Vector:
+    """Return the matrices from the body frame to the world at times, shape (N, 3, 3)."""
+    return np.moveaxis(rotation.matrix(track.quaternions_at(times).T), -1, 0)
+
+
+def _velocities(track: Track, times: Vector) -> tuple[Vector, Vector]:
+    """Return the velocity of the centre over the radius [1/s], and that of a place by its metres.
+
+    They are in the world, shapes (N, 3) and (N, 3, 3).
+    """
+    turns, rates = _turns(track, times), track.rates_at(times)
+    crossed = np.cross(rates[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
+    return np.cross(np.einsum("nij,nj->ni", turns, rates), _UP), turns @ crossed

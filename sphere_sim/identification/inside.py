@@ -25,7 +25,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_sim.identification.fitting import fitted
-from sphere_sim.identification.inertial import Readings, Track, Value, mean_forces
+from sphere_sim.identification.inertial import Forces, Readings, Track, Value
 
 _UNCERTAIN = 0.1
 """Relative deviations of constants and radius with which the odometry begins [-]."""
@@ -186,24 +186,15 @@ def identified_place(
     """
     period, track = float(np.median(np.diff(readings.times))), inside.track
     part = track.part_at(readings.times - inside.offset[0], 2.0 * period)
-    chosen = np.flatnonzero(part >= 0)
-    pairs = chosen[np.diff(chosen, prepend=-2) == 1]
-    now, forces = readings.times[pairs] - inside.offset[0], readings.forces[pairs]
-    axes, groups = imu.turn, np.repeat(part[pairs], 3)
     units = np.array([0.1, *(0.01,) * 6, *(0.1,) * 3])
 
     def at_scale(scale: Vector) -> tuple[Vector, Vector]:
         scaled = replace(track, rates=track.rates * scale)
-        still, by_place = mean_forces(scaled, now, period, 0.0)
-        by_radius = mean_forces(scaled, now, period, 1.0)[0] - still
-        by = np.concatenate((by_radius[:, :, None], by_place), axis=-1)
-        by = np.einsum("nji,jk->nki", by, axes)
-
-        def residuals(values: Vector) -> Vector:
-            seen = still @ axes + by @ values[:4]
-            return np.ravel(seen * (1.0 + values[4:7]) + values[7:] - forces)
-
-        found, deviations, _ = fitted(residuals, np.zeros(10), units, groups)
+        forces = Forces(readings, scaled, part, inside.offset[0], imu.turn)
+        found, deviations, _ = fitted(
+            lambda values: forces.left(float(values[0]), values[1:4], values[4:7], values[7:]),
+            np.zeros(10), units, np.repeat(forces.groups, 3),
+        )
         return found[:4], deviations[:4]
 
     best, deviations = at_scale(np.ones(3))

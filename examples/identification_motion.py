@@ -8,8 +8,8 @@ python examples/identification_motion.py 1.15       # commands up to 1.15 of max
 
 It rests for three seconds, in which noise and biases show, then rolls out and back again and
 again, each time to another side, and rests again. Speeds come in steps, so that the drives show
-what acceleration they attain; only commands beyond what they attain show their largest speed. It
-needs no controller, which would have to be disabled.
+what acceleration they attain; only commands beyond what they attain show their largest speed. A
+controller would have to be disabled. The floor has to be level, as nothing holds the sphere.
 """
 
 import sys

@@ -17,6 +17,8 @@ _BEYOND = 1.02
 """Command over the fitted limit from which on that limit was reached [-]."""
 _LAGS = np.arange(0.0, 0.2, 0.01)
 """Lags that the fit may begin with [s]."""
+_UNCERTAIN = 0.05
+"""Relative deviation from which on a limit is not seen [-]."""
 _HELD = 0.25
 """Time after a command of speeds for which drives follow it whatever their time-out is [s]."""
 _GROUP = 2.0
@@ -144,7 +146,10 @@ def identified_drives(
         found, deviations, left = fitted(given, values[chosen], units[chosen], groups)
         values[chosen] = found
         asked = np.array([np.inf, commands.steepest, largest])
+        spread = np.zeros(3)
+        spread[chosen] = deviations
         unseen = free & (asked < _BEYOND * values)
+        unseen[1:] |= free[1:] & (spread[1:] > _UNCERTAIN * values[1:])
         if not unseen.any():
             break
         free &= ~unseen

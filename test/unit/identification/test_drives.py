@@ -53,6 +53,13 @@ def test_limit_that_is_not_reached_is_not_told() -> None:
     assert found.lag[0] == pytest.approx(LAG, abs=1e-3)
 
 
+def test_limit_that_small_steps_alone_would_show_is_not_told() -> None:
+    wanted = 5.0 * np.sin(TIMES)[:, None] * np.ones(2)
+    wanted[::200] += 0.02  # as where a plan replaces another one
+    found = identified_drives(Commands.of_speeds(TIMES - LAG, wanted), TIMES, followed(wanted))
+    assert found is not None and found.acceleration is None
+
+
 def test_trajectory_counts_until_the_next_one_starts() -> None:
     knots = np.array([0.0, 10.0])
     first = FirstOrderHold(knots, np.array([[0.0, 0.0], [10.0, 20.0]]))

@@ -206,7 +206,13 @@ def _of_poses(
         found.add(name, unit, value, deviation, getattr(given.controller, name))
         found.controller[name] = Entry(_rounded(value, 3), "what the motion leaves of the poses")
     if recorded.readings is not None:
-        _add_mounting(found, fit, estimate, recorded.readings, given, progress)
+        try:
+            _add_mounting(found, fit, estimate, recorded.readings, given, progress)
+        except InvalidInputError as error:
+            progress(f"IMU: {error}")
+            for name, unit in (("imu.position", "m"), ("imu.orientation", "")):
+                kept = getattr(given.imu, name.removeprefix("imu."))
+                found.add(name, unit, 0.0, None, kept)
     return -float(estimate.common[OFFSET])
 
 

@@ -28,6 +28,8 @@ _ABOUT_ONE_AXIS = 0.03
 """Share of the rotation about a second axis up to which the axes of the IMU are not seen [-]."""
 _MEAN_OF = 5
 """Readings whose forces are taken together."""
+_UNEXPLAINED = 0.5
+"""Share of a gyro's rates that no mounting explains, from which on they are of something else."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -208,12 +210,13 @@ def _axes(rates: Vector, seen: Vector) -> Vector:
         raise InvalidInputError(
             "rotation", Description("about one axis"), "about two, which show the axes of the IMU"
         )
-    u, _, v = np.linalg.svd(away.T @ other)
+    u, common, v = np.linalg.svd(away.T @ other)
     sign = np.sign(np.linalg.det(u @ v))
     found: Vector = u @ np.diag([1.0, 1.0, sign]) @ v
     left = np.linalg.norm(other - away @ found) / np.linalg.norm(other)
-    if left > 0.5:
-        given = f"{100 * left:.0f} % of it not explained by a right-handed mounting"
+    is_mirrored = sign < 0.0 and common[2] > _ABOUT_ONE_AXIS**2 * common[0]
+    if left > _UNEXPLAINED or is_mirrored:
+        given = "left-handed axes" if is_mirrored else f"{100 * left:.0f} % of it not explained"
         raise InvalidInputError(
             "angular velocity of the IMU", Description(given),
             "that of the shell [rad/s], in any right-handed axes",

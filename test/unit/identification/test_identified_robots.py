@@ -67,6 +67,23 @@ def test_mounting_of_an_imu_is_found() -> None:
     assert abs(result["offset of IMU stamps"][0]) < 0.5
 
 
+def test_imu_with_left_handed_axes_is_named_and_the_rest_is_found() -> None:
+    one = drawn(2, with_imu=True)
+    readings = one.recorded.readings
+    assert readings is not None
+    said = list[str]()
+    mirrored = replace(readings, rates=readings.rates * (-1.0, 1.0, 1.0))
+    found = identified(
+        replace(one.recorded, readings=mirrored), Given(one.given), progress=said.append
+    )
+    assert any("given left-handed axes, expected that of the shell" in text for text in said)
+    assert row(found, "imu.position").deviation == ()
+    assert row(found, "c1").deviation and found.odometry == {}
+    degrees = replace(readings, rates=np.degrees(readings.rates))
+    identified(replace(one.recorded, readings=degrees), Given(one.given), progress=said.append)
+    assert "IMU: angular velocity of the IMU: given 9" in said[-2]
+
+
 @pytest.mark.slow
 def test_imu_and_encoders_alone_show_constants_radius_and_place() -> None:
     one = drawn(3, with_imu=True, inside=True)

@@ -313,8 +313,8 @@ def _add_mounting(
     """Add what readings of an IMU show beside the poses, with deviations by leaving pieces out."""
     step = _TRACK_STEP * RobotUnits.of(given.robot).time
 
-    def mounted(chosen: list[int], at: Estimate) -> Mounted:
-        radius = float(fit.constants(at.common)[0])
+    def mounted(chosen: list[int], at: Estimate, larger: float = 0.0) -> Mounted:
+        radius = float(fit.constants(at.common)[0]) + larger
         return identified_mounting(readings, fit.track(chosen, at, step), radius, _MARGIN)
 
     whole = list(range(len(fit.pieces)))
@@ -325,7 +325,9 @@ def _add_mounting(
         progress(f"IMU: {group + 1} of {groups}")
         chosen = [k for k in whole if k % groups != group]
         others.append(mounted(chosen, fit.fitted(chosen, estimate)))
-    _add_imu(found, best.with_scatter(others), given)
+    # The place takes the error of the radius.
+    larger = mounted(whole, estimate, float(fit.nominal[0] * estimate.deviations[0]))
+    _add_imu(found, best.with_scatter(others, larger), given)
 
 
 def _add_imu(found: Identified, imu: Mounted, given: Given) -> None:

@@ -120,10 +120,11 @@ class Mounted:
     count: int
     at_rest: bool
 
-    def with_scatter(self, others: Sequence["Mounted"]) -> "Mounted":
+    def with_scatter(self, others: Sequence["Mounted"], larger: "Mounted") -> "Mounted":
         """Return it with deviations at least as large as others show (delete-one jackknife).
 
-        Each of the others is from all data but one of as many parts.
+        Each of the others is from all data but one of as many parts, and that with a `larger`
+        radius, by its deviation, adds to the deviation of the place.
         """
         names = ("position", "gyro_bias", "gyro_scale", "accelerometer_bias",
                  "accelerometer_scale", "offset")
@@ -133,6 +134,8 @@ class Mounted:
             value, deviation = getattr(self, name)
             scatter = factor * np.std([getattr(one, name)[0] for one in others], axis=0)
             changes[name] = value, np.maximum(deviation, scatter)
+        value, deviation = changes["position"]
+        changes["position"] = value, np.hypot(deviation, larger.position[0] - value)
         back = rotation.conjugate(self.orientation[0])
         turns = [rotation.logarithm(rotation.product(one.orientation[0], back)) for one in others]
         scatter = factor * np.std(turns, axis=0)

@@ -87,6 +87,9 @@ def read_recorded(path: Path, namespace: str | None, pose_topic: str | None) -> 
     reader = TopicReader(messages, robot, clock)
     joint_times, speeds, _ = reader.joint_states()
     known = np.all(np.isfinite(speeds), axis=1)
+    if not known.any():
+        joint_times, speeds = _speeds_of_angles(messages, robot, clock)
+        known = np.ones(joint_times.size, dtype=bool)
     own = robot.namespace
     is_inside = f"{own}/{_OWN_POSES}" in messages.types and not robot.estimate
     return Recorded(
@@ -96,6 +99,23 @@ def read_recorded(path: Path, namespace: str | None, pose_topic: str | None) -> 
         object_of(messages.custom_data.get(f"{PARAMETERS_PREFIX}{robot.controller}", "")),
         messages.notes,
     )
+
+
+def _speeds_of_angles(
+    messages: Messages, robot: Robot, clock: BagClock
+) -> tuple[Vector, Vector]:
+    """Return times [s] and speeds (N, 2) [rad/s] by the angles of rotors without velocities."""
+    found: Vector = np.array([
+        (clock.time_of_stamp(one.stamp), *rotors[0])
+        for _, one in messages.decoded.get(robot.joint_states, ())
+        if (rotors := one.of_rotors()) is not None and np.isfinite(rotors[0]).all()
+    ]).reshape(-1, 3)
+    _, first = np.unique(found[:, 0], return_index=True)
+    times, angles = found[first, 0], np.unwrap(found[first, 1:], axis=0)
+    if times.size < 2 or not np.ptp(angles):
+        return np.empty(0), np.empty((0, INPUT_SIZE))
+    messages.notes.append(f"{robot.joint_states}: no velocities; the speeds are those of angles")
+    return 0.5 * (times[1:] + times[:-1]), np.diff(angles, axis=0) / np.diff(times)[:, None]
 
 
 def _commands(

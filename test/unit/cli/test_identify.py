@@ -26,11 +26,17 @@ def drawn() -> Drawn:
     return Drawn(7, with_imu=True, duration=20.0)
 
 
-def bag_of(folder: Path, drawn: Drawn, *left_out: str, custom: str = "") -> Path:
+def bag_of(
+    folder: Path, drawn: Drawn, *left_out: str, custom: str = "", velocities: bool = True
+) -> Path:
     """Write what was recorded of a robot, in the form in which nodes publish it."""
     recorded, none = drawn.recorded, np.zeros(2)
     commands, readings = recorded.commands, recorded.readings
     assert commands is not None and readings is not None
+
+    steps, mean = np.diff(recorded.joint_times), recorded.speeds[1:] + recorded.speeds[:-1]
+    angles = np.vstack((none, np.cumsum(0.5 * steps[:, None] * mean, axis=0)))
+    angles = np.mod(angles + np.pi, 2.0 * np.pi) - np.pi
 
     def stamp(time: float) -> int:
         return START + round(time * NANOSECONDS)
@@ -39,8 +45,10 @@ def bag_of(folder: Path, drawn: Drawn, *left_out: str, custom: str = "") -> Path
         (stamp(t), "/pose", cdr.pose_message(pose, stamp(t), drawn.robot.shell_radius))
         for t, pose in zip(recorded.times, recorded.poses, strict=True)
     ] + [
-        (stamp(t), "/joint_states", cdr.joint_states_message(none, speeds, none, stamp(t)))
-        for t, speeds in zip(recorded.joint_times, recorded.speeds, strict=True)
+        (stamp(t), "/joint_states", cdr.joint_states_message(
+            angle, speeds if velocities else none * np.nan, none, stamp(t)
+        ))
+        for t, speeds, angle in zip(recorded.joint_times, recorded.speeds, angles, strict=True)
     ] + [
         (stamp(t), "/imu", cdr.imu_message(rate, force, none, stamp(t), "imu"))
         for t, rate, force in zip(readings.times, readings.rates, readings.forces, strict=True)
@@ -89,6 +97,17 @@ def test_given_file_says_what_is_kept(tmp_path, capsys, drawn) -> None:
     assert "robot.max_rotor_speed         90 rad/s" in out and "(no commands in the bag)" in out
     robot = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]["robot"]
     assert robot["max_rotor_speed"] == 90.0 and robot["rotor_mass"] == 0.8
+
+
+@pytest.mark.slow
+def test_angles_give_the_speeds_where_there_are_no_velocities(tmp_path, capsys, drawn) -> None:
+    file = tmp_path / "robot.yaml"
+    bag = bag_of(tmp_path / "bag", drawn, "/imu", "/rotor_commands", velocities=False)
+    assert main(["identify", str(bag), "--out", str(file)]) == 0
+    told = "/joint_states: no velocities; the speeds are those of angles"
+    assert told in capsys.readouterr().err
+    found = RobotParameters(**yaml.safe_load(file.read_text())["/**"]["ros__parameters"]["robot"])
+    assert found.lumped.as_array() == pytest.approx(drawn.robot.lumped.as_array(), rel=3e-3)
 
 
 @pytest.mark.parametrize(("left_out", "told"), [

@@ -72,7 +72,7 @@ class Interval:
         if self.steepest <= acceleration:
             return self
         given = np.concatenate(([0.0], np.cumsum(self.durations)))
-        paths = [_followed(given, column, acceleration) for column in self.inputs.T]
+        paths = [followed(given, column, acceleration) for column in self.inputs.T]
         times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
         times = times[np.concatenate(([True], np.diff(times) > SAME))]
         speeds = np.column_stack([np.interp(times, *path) for path in paths])
@@ -93,7 +93,7 @@ class Interval:
         return np.diff(times), speeds, np.searchsorted(times, self.after).tolist()
 
 
-def _followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], list[float]]:
+def followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], list[float]]:
     """Return times [s] and speeds [rad/s] of the corners of one rotor's motion."""
     now, speed = float(times[0]), float(sent[0])
     corners, speeds = [now], [speed]

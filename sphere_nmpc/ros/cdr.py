@@ -233,6 +233,7 @@ TYPES: dict[Any, str] = {
     Pose: "geometry_msgs/msg/PoseStamped",
     UncertainPose: "geometry_msgs/msg/PoseWithCovarianceStamped",
     Imu: "sensor_msgs/msg/Imu",
+    Numbers: "std_msgs/msg/Float64MultiArray",
     Joints: "sensor_msgs/msg/JointState",
     Trajectory: "trajectory_msgs/msg/JointTrajectory",
     Status: "diagnostic_msgs/msg/DiagnosticStatus",

@@ -33,11 +33,9 @@ VERBS = {
     "estimate": (
         "sphere_sim.cli.estimate", "estimate the poses of a bag from its IMU, or test the sensors",
     ),
-    "calibrate_radius": (
-        "sphere_sim.ros.session.calibrate_radius", "find the radius from a measured way",
-    ),
+    "identify": ("sphere_sim.cli.identify", "find the parameters of a robot from a recorded bag"),
 }
-_WITHOUT_ROS = ("study", "benchmark", "report")
+_WITHOUT_ROS = ("study", "benchmark", "report", "identify")
 _DEBUG = "--debug"
 _ROS_ARGUMENTS = "--ros-args"
 

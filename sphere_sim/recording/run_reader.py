@@ -81,7 +81,7 @@ def read_run(
     messages = read_messages(path, is_read)
     robot = find_robot(messages, namespace, pose_topic)
     clock, times, states = read_poses(messages, robot.pose)
-    reader = _TopicReader(messages, robot, clock)
+    reader = TopicReader(messages, robot, clock)
     joint_times, speeds, torques = reader.joint_states()
     goal_times, goals = reader.goals(times)
     known_parameters = _recorded_parameters(messages.custom_data, robot.controller)
@@ -113,7 +113,7 @@ def _recorded_robot(values: dict[str, Any]) -> RobotParameters:
         return RobotParameters()
 
 
-class _TopicReader:
+class TopicReader:
     """Reader of the other topics of one robot; its notes say what is missing or ignored."""
 
     def __init__(self, messages: Messages, robot: Robot, clock: BagClock) -> None:

@@ -36,9 +36,9 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry
-from sphere_sim.cli import benchmark, demo, estimate, report, study, viewer
+from sphere_sim.cli import benchmark, demo, estimate, identify, report, study, viewer
 from sphere_sim.cli.main import VERBS
-from sphere_sim.ros.session import calibrate_radius, goal_command
+from sphere_sim.ros.session import goal_command
 from sphere_sim.ros.simulator import robot_description
 from sphere_sim.world.settings import PLANTS
 
@@ -52,7 +52,7 @@ PARSERS: dict[str, Callable[[Sequence[str]], object]] = {
     "benchmark": benchmark._parse,
     "report": report._parse,
     "estimate": estimate.parse,
-    "calibrate_radius": calibrate_radius.parse,
+    "identify": identify.parse,
     "faults": faults._parse,
     MODULE: robot_description._parse,
 }

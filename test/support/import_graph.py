@@ -24,7 +24,7 @@ FLOORS = {
         ("cli",),
         ("demo",),
         ("ros",),
-        ("viewer", "report"),
+        ("viewer", "report", "identification"),
         ("study", "benchmark", "recording"),
         ("evaluation", "scenario"),
         ("world",),

@@ -525,9 +525,11 @@ class Odometry:
         `shown` are the vertical by gravity and its deviation, `taken` are the vertical and the
         covariance of the tilt that take the place of the given ones then.
         """
-        told = contradiction(given, *shown)
+        told, is_opposite = contradiction(given, *shown)
         if told:
             self.faults.see(Kind.TILT_REPLACED, given.time, told)
+        if is_opposite:
+            self.faults.lost(given.time, told)
         if told or not has_tilt(given.covariance):
             given = with_vertical(given, *taken)
         return replaced(belief, given.pose, given.covariance)

@@ -32,6 +32,9 @@ LEAST_DEVIATION = 1e-6
 """Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
 MOST_VARIANCE = (1e6, math.pi**2)
 """Largest variances of a given position [m^2] and rotation [rad^2]: more is not known at all."""
+_NEARLY = 0.2
+"""Angle within which a vertical is the opposite one [rad]."""
+_OPPOSITE = "; or has the accelerometer the opposite sign?"
 _CONTRADICTED = 6.0
 """Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
 
@@ -121,8 +124,10 @@ def with_vertical(given: Fix, vertical: Vector, tilt: Vector) -> Fix:
     return given._replace(pose=pose, covariance=covariance)
 
 
-def contradiction(given: Fix, vertical: Vector, spread: float) -> str:
+def contradiction(given: Fix, vertical: Vector, spread: float) -> tuple[str, bool]:
     """Return in one line how gravity contradicts the tilt of a given pose, "" where it does not.
+
+    Also whether it is the opposite, as with an accelerometer of the other sign.
 
     `vertical` is that in the body frame as gravity shows it, shape (3,), and `spread` its standard
     deviation [rad].
@@ -132,9 +137,10 @@ def contradiction(given: Fix, vertical: Vector, spread: float) -> str:
     known = float(np.trace(given.covariance[2:4, 2:4]))
     allowed = _CONTRADICTED * math.sqrt(known + spread**2)
     if between <= allowed or not has_tilt(given.covariance):
-        return ""
+        return "", False
+    is_opposite = between > math.pi - _NEARLY
     return (
         f"given a pose whose vertical is {math.degrees(between):.1f} deg from that "
         f"of the accelerometer, expected at most {math.degrees(allowed):.1f} deg; "
-        "position and heading are taken"
-    )
+        f"position and heading are taken{_OPPOSITE if is_opposite else ''}"
+    ), is_opposite

@@ -241,6 +241,12 @@ def test_a_force_at_rest_that_is_not_gravity_gives_no_pose(size, words) -> None:
     assert rest.odometry.estimate is None
 
 
+def test_a_force_of_the_opposite_sign_is_named_and_leaves_the_position_unknown() -> None:
+    rest = Rest(8).feed(4.0, UP, lambda _, one: np.append(one[:3], -one[3:]))
+    assert rest.odometry.is_lost
+    assert any("the opposite sign?" in one.text for one in rest.odometry.conditions)
+
+
 def test_what_the_calibration_waits_for_is_told() -> None:
     rest = Rest(9)
     rest.feed(3.0, UP, speeds=lambda _: np.array([5.0, 0.0]))

@@ -6,7 +6,7 @@
     python bench/identify.py --draw 20 --seed 1 --imu       # an IMU beside the poses
     python bench/identify.py --draw 20 --seed 1 --plant rigid_body
     python bench/identify.py --seed 1 --goals 20            # a robot driven with its file
-    python bench/identify.py --draw 20 --seed 1 --inside    # IMU and exact encoders alone
+    python bench/identify.py --draw 20 --seed 1 --inside    # IMU and encoders alone
 
 Each robot has masses, sizes and inertias that are up to 10 % (`--wrong`) off those given, as are
 the limits of its drives, a lag up to 20 ms, and stamps of poses up to 20 ms early or late. Poses
@@ -87,8 +87,10 @@ class Drawn:
         self.late = rng.uniform(-LONGEST_OFFSET, LONGEST_OFFSET)
         turn = rotation.random_quaternion(rng)
         place = rng.uniform(-0.1, 0.1, 3)
-        self.imu = SimulatedImuSettings(position=tuple(place.tolist()),
-                                        orientation=tuple(turn.tolist()))
+        self.imu = SimulatedImuSettings(
+            position=tuple(place.tolist()), orientation=tuple(turn.tolist()),
+            position_deviation=0.0, orientation_deviation=0.0,
+        )
         self.simulator = Simulator(
             SimulatorSettings(
                 plant=plant, initial_state=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), seed=seed,
@@ -98,7 +100,7 @@ class Drawn:
         )
         own = RigidBodySettings().for_robot(self.robot)
         self._servo = 1.0 / own.drive_bandwidth if plant == "rigid_body" else 0.0
-        self._speed_noise = 0.0 if inside else SPEED_NOISE
+        self._speed_noise = SPEED_NOISE
         self.recorded = self._recorded(rng, duration)
         self.known_imu = self.imu if inside else ImuSettings()
         """What is known of the IMU: from inside its axes are not found."""
@@ -120,7 +122,7 @@ class Drawn:
         }
         if self.simulator.imu is not None:
             found |= {"imu.position": self.imu.position, "imu.orientation": self.imu.orientation,
-                      "offset of IMU stamps": (0.0,)}
+                      "offset of IMU stamps": (0.5 / self.imu.rate,)}
         return found
 
     def _recorded(self, rng: np.random.Generator, duration: float) -> Recorded:

@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.progress import track
 from scipy.stats import chi2
 
-from sphere_nmpc.estimation.odometry.odometry import Odometry, PoseEstimate
+from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold

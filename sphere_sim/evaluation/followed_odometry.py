@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.estimation.odometry.odometry import Odometry, PoseEstimate
+from sphere_nmpc.estimation.odometry import Odometry
+from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector
 

@@ -47,7 +47,8 @@ def track_of(
 ) -> Track:
     """Return the motion by the odometry, in parts of `length` [s]; empty without a calibration."""
     settings = OdometrySettings(radius_deviation=_UNCERTAIN, constants_deviation=_UNCERTAIN)
-    odometry = Odometry(settings, imu, robot)
+    # Without a delay, pose and rate are those of one reading; the offset that is found has it.
+    odometry = Odometry(settings, replace(imu, delay=0.0), robot)
     order = np.argsort(np.concatenate((joint_times, readings.times)), kind="stable")
     times, quaternions, rates = list[float](), list[Vector](), list[Vector]()
     begin = min(float(joint_times[0]), float(readings.times[0]))

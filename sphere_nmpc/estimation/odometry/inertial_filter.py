@@ -37,10 +37,14 @@ from dataclasses import replace
 import numpy as np
 
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.odometry.inertial_motion import Motion, sensor_map
+from sphere_nmpc.estimation.odometry.inertial_motion import (
+    Motion,
+    cross,
+    crosses,
+    sensor_map,
+)
 from sphere_nmpc.estimation.odometry.inertial_state import (
     ARM,
-    CONSTANTS,
     FIRST,
     FORCE_BIAS,
     FORCE_MATRIX,
@@ -57,6 +61,7 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     Samples,
     applied,
 )
+from sphere_nmpc.estimation.odometry.rotor_model import RotorModel
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
@@ -90,7 +95,8 @@ class InertialFilter:
         )
         """Settings of the IMU, with noises that may have been raised."""
         self._numbers = numbers
-        self._constants = np.array(robot.lumped.as_array()[1:])
+        self.rotors = RotorModel(robot)
+        """How the shell turns by the rotors."""
         self.radius = robot.shell_radius
         self.turn, self._place = imu.turn, np.array(imu.position)
 
@@ -110,28 +116,11 @@ class InertialFilter:
         before, after = rates
         q, turn = pose[QUATERNION], rotation.matrix(pose[QUATERNION])
         # Of a rate that is linear in time, to the fourth order.
-        turned = 0.5 * step * (before + after) + step**2 / 12.0 * (_cross(before) @ after)
+        turned = 0.5 * step * (before + after) + step**2 / 12.0 * (cross(before) @ after)
         q = rotation.product(q, rotation.exponential(turned))
         q = q / math.sqrt(float(q @ q))
         by = 0.5 * step * (turn @ before + rotation.matrix(q) @ after)
         return np.concatenate(((pose[0] + radius * by[1], pose[1] - radius * by[0]), q))
-
-    def model_rate(
-        self, belief: Belief, turns: Vector, speeds: Vector
-    ) -> tuple[Vector, Vector]:
-        """Return the angular velocity by the balance of momentum [rad/s; body frame], (..., 3).
-
-        Also the inverse of its matrix, (..., 3, 3). `turns`, (..., 3, 3), are orientations, body
-        to world, `speeds`, (..., 2), those of the rotors [rad/s].
-        """
-        c1, r1, r3 = self._constants * (1.0 + belief.value(CONSTANTS))
-        up = turns[..., 2, :]
-        inverse = np.linalg.inv(
-            np.diag((1.0, 1.0, r1 / r3)) - r1 * up[..., :, None] * up[..., None, :]
-        )
-        drive = -belief.value(MOMENTUM) @ turns
-        drive[..., :2] += speeds
-        return -c1 * (inverse @ drive[..., None])[..., 0], inverse
 
     def advance(self, belief: Belief, samples: Samples) -> tuple[Belief, Findings]:
         """Return the belief at the end of an interval, and what it has shown."""
@@ -139,7 +128,7 @@ class InertialFilter:
         model = None
         if samples.speeds is not None:
             by_gyro = samples.usable and not samples.still
-            model = self._model(belief, motion, samples.speeds, by_gyro)
+            model = self.rotors.mean_rate(belief, motion, samples.speeds, by_gyro)
         found = belief._replace(
             pose=motion.pose, covariance=self._predicted(belief, motion, samples, model),
             unexplained=numbers.forgotten * belief.unexplained,
@@ -170,10 +159,10 @@ class InertialFilter:
         for j in range(0 if samples.still else number - 1):
             pair, step = rates[j : j + 2], samples.times[j + 1] - samples.times[j]
             if samples.speeds is not None and not samples.usable:
-                rates[j] = self.model_rate(belief, turns[j], samples.speeds[j])[0]
+                rates[j] = self.rotors.rate(belief, turns[j], samples.speeds[j])[0]
                 ahead = self.moved(pose, np.array([rates[j]] * 2), step, radius)
                 turn = rotation.matrix(ahead[QUATERNION])
-                rates[j + 1] = self.model_rate(belief, turn, samples.speeds[j + 1])[0]
+                rates[j + 1] = self.rotors.rate(belief, turn, samples.speeds[j + 1])[0]
             pose = self.moved(pose, pair, step, radius)
             turns[j + 1] = rotation.matrix(pose[QUATERNION])
         forces = sensor.forces(forces)
@@ -204,7 +193,7 @@ class InertialFilter:
             within: Vector = np.zeros((2, SIZE))
             if samples.usable:
                 turns = errors[-1]
-                spins = _crosses(weighted @ motion.rates[:, :, None])
+                spins = crosses(weighted @ motion.rates[:, :, None])
                 within = -rolls @ (spins @ errors).sum(axis=0)
             elif model is not None:
                 turns = weighted.sum(axis=0) @ model[1]
@@ -213,10 +202,10 @@ class InertialFilter:
                 turns, density = np.zeros((3, SIZE)), numbers.blind
             by = np.eye(SIZE)
             by[PHI] += turns
-            by[P, PHI] = -rolls @ _cross(way)
+            by[P, PHI] = -rolls @ cross(way)
             by[P] += rolls @ turns + within
             by[P, RADIUS] = rolls @ way
-            by[MOMENTUM] += _cross(belief.value(MOMENTUM)) @ turns
+            by[MOMENTUM] += cross(belief.value(MOMENTUM)) @ turns
             predicted = by @ covariance @ by.T
             turning = np.vstack((rolls, np.eye(3)))
             predicted[POSE_ERROR, POSE_ERROR] += density**2 * duration * (turning @ turning.T)
@@ -237,7 +226,7 @@ class InertialFilter:
         place = self._place + belief.value(ARM)
         ends = [0, -1]
         turns, rates = motion.turns[ends], motion.rates[ends]
-        rolling = radius * ROLL @ turns - turns @ _cross(place)
+        rolling = radius * ROLL @ turns - turns @ cross(place)
         weighted = motion.weights[:, None, None] * (motion.turns @ self.turn)
         force = (weighted @ motion.forces[:, :, None]).sum(axis=0)[:, 0]
         before, after = (rolling @ rates[:, :, None])[:, :, 0]
@@ -255,12 +244,12 @@ class InertialFilter:
         by[:, FORCE_BIAS] += corrected.sum(axis=0)
         by[:, FORCE_MATRIX] += np.einsum("kai,kj->aij", corrected, forces).reshape(3, 9)
         # By the error of the orientation at each reading: what is felt turns, and the velocities.
-        turns_by = _crosses(weighted @ forces[:, :, None])
+        turns_by = crosses(weighted @ forces[:, :, None])
         for end, sign in ((0, 1.0), (-1, -1.0)):
             spin = turns[end] @ rates[end]
-            lever = turns[end] @ (_cross(rates[end]) @ place)
-            turns_by[end] += sign * (radius * ROLL @ _cross(spin) + _cross(lever))
-            by[:, ARM] -= sign * _cross(spin) @ turns[end]
+            lever = turns[end] @ (cross(rates[end]) @ place)
+            turns_by[end] += sign * (radius * ROLL @ cross(spin) + cross(lever))
+            by[:, ARM] -= sign * cross(spin) @ turns[end]
         by[:, PHI] = turns_by.sum(axis=0)
         by += (turns_by @ turned).sum(axis=0)
         change = turns[1] @ rates[1] - turns[0] @ rates[0]
@@ -292,39 +281,6 @@ class InertialFilter:
         found = found._replace(vibration=vibration, height=height, slipping=slipping)
         return found, square, jump
 
-    def _model(
-        self, belief: Belief, motion: Motion, speeds: Vector, is_measured: bool
-    ) -> tuple[Vector, Vector]:
-        """Return the mean angular velocity by the balance of momentum, and its derivative.
-
-        In rad/s and the body frame, shape (3,), by the error at the end, shape (3, 49);
-        `is_measured` where the orientations follow from the gyro.
-        """
-        shares = motion.weights / motion.weights.sum()
-        rates, inverses = self.model_rate(belief, motion.turns, speeds)
-        _, r1, r3 = constants = self._constants * (1.0 + belief.value(CONSTANTS))
-        turns, up = motion.turns, motion.turns[:, 2, :, None]
-        mean: Vector = np.zeros((3, SIZE))
-        inverse = shares[:, None, None] * inverses
-        # The vertical in the body changes by -R^T (phi x e3), the momentum in it by its own error.
-        tilted = turns.transpose(0, 2, 1) @ _cross(_UP)
-        along = up.transpose(0, 2, 1) @ rates[:, :, None]
-        by = up @ (rates[:, None, :] @ tilted) + along * tilted
-        tilts = r1 * inverse @ by
-        mean[:, PHI] = tilts.sum(axis=0)
-        mean[:, MOMENTUM] = constants[0] * (inverse @ turns.transpose(0, 2, 1)).sum(axis=0)
-        axial = r1 / r3 * rates[:, :, None] * _UP[:, None]
-        mean[:, CONSTANTS] = np.column_stack((
-            shares @ rates, (inverse @ (r1 * along * up - axial)).sum(axis=0),
-            (inverse @ axial).sum(axis=0),
-        ))
-        if is_measured:
-            turned = motion.turned
-            mean += (tilts @ (turned - turned[-1])).sum(axis=0)
-        slope = (speeds[-1] - speeds[0]) / motion.weights.sum()
-        mean[:, OFFSET] = -constants[0] * inverse.sum(axis=0) @ np.append(slope, 0.0)
-        return shares @ rates, mean
-
     def _with_rate(
         self, belief: Belief, motion: Motion, model: tuple[Vector, Vector] | None,
         samples: Samples,
@@ -342,7 +298,7 @@ class InertialFilter:
                 by = by - np.tensordot(motion.weights / duration, errors, 1)
             variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
             # Within a step of speeds the mean of two readings is not theirs.
-            variance += (self._constants[0] * samples.bend / (len(samples.times) - 1)) ** 2
+            variance += (self.rotors.gain * samples.bend / (len(samples.times) - 1)) ** 2
             noise = variance * np.eye(3)
             found, square, _ = self._updated(belief, by, innovation, noise, largest)
             if square > largest:
@@ -446,16 +402,3 @@ class InertialFilter:
         pose = applied(belief.pose, error[POSE_ERROR])
         found = belief._replace(pose=pose, numbers=numbers, covariance=covariance)
         return found, square, total
-
-
-def _cross(vector: Vector) -> Vector:
-    """Return the matrix of the cross product with a vector, shape (3, 3)."""
-    x, y, z = vector.tolist()
-    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
-
-
-def _crosses(vectors: Vector) -> Vector:
-    """Return the matrices of the cross products with vectors, (n, 3, 1), shape (n, 3, 3)."""
-    x, y, z = vectors[:, :, 0].T
-    zero = np.zeros(len(vectors))
-    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)

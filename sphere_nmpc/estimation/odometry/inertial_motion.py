@@ -93,3 +93,16 @@ class Motion(NamedTuple):
         steps = 0.5 * np.diff(self.times)[:, None, None] * (by[1:] + by[:-1])
         np.cumsum(steps, axis=0, out=found[1:])
         return found
+
+
+def cross(vector: Vector) -> Vector:
+    """Return the matrix of the cross product with a vector, shape (3, 3)."""
+    x, y, z = vector.tolist()
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def crosses(vectors: Vector) -> Vector:
+    """Return the matrices of the cross products with vectors, (n, 3, 1), shape (n, 3, 3)."""
+    x, y, z = vectors[:, :, 0].T
+    zero = np.zeros(len(vectors))
+    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)

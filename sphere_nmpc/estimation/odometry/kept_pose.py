@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.estimation.odometry.odometry import PoseEstimate
+from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, as_state
 from sphere_nmpc.own_folder import KeptFile

@@ -9,33 +9,23 @@ instant of its measurement: the filter begins anew there.
 
 import math
 from bisect import bisect_left
-from typing import NamedTuple
 
 import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.odometry.inertial_filter import ROLL, InertialFilter
+from sphere_nmpc.estimation.odometry.given_pose import Fix
+from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
 from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap, sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
     GYRO_BIAS,
-    PHI,
     POSE_ERROR,
     Belief,
     Samples,
-    replaced,
 )
-from sphere_nmpc.estimation.odometry.placement import (
-    LEAST_DEVIATION,
-    Fix,
-    bounded,
-    contradiction,
-    has_tilt,
-    initial_belief,
-    tilt_deviation,
-    with_vertical,
-)
+from sphere_nmpc.estimation.odometry.placement import Placement
+from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate, pose_estimate
 from sphere_nmpc.estimation.odometry.pose_history import PoseHistory
 from sphere_nmpc.estimation.odometry.rest import RestDetector
 from sphere_nmpc.estimation.odometry.rotor_speeds import RotorSpeeds
@@ -50,37 +40,6 @@ _FASTER = 6.0
 """Standard deviations [-] by which a rate has to differ from that at rest to move the pose."""
 _GAP = 4.0
 """Times of a reading [-] after which readings are missing."""
-_CONTRADICTED = 4.0
-"""Improbable squares of a force at rest [-] at which the tilt is another one."""
-_ANY_TILT = np.eye(2)
-"""Covariance of a tilt before the force at rest shows it [rad^2]."""
-
-
-class PoseEstimate(NamedTuple):
-    """Pose and velocity at the instant of a reading.
-
-    Attributes
-    ----------
-    time : float
-        Control time of the newest reading [s].
-    pose : ndarray, shape (6,)
-        Position [m] and quaternion wxyz, body to world.
-    covariance : ndarray, shape (5, 5)
-        Of the error [dx, dy, a1, a2, a3]: position [m; world frame], rotation [rad; body frame].
-    velocity : ndarray, shape (3,)
-        Of the centre [m/s; world frame].
-    body_rate : ndarray, shape (3,)
-        Angular velocity [rad/s; body frame].
-    twist_covariance : ndarray, shape (6, 6)
-        Of linear [m/s] and angular velocity [rad/s], both in the body frame.
-    """
-
-    time: float
-    pose: Vector
-    covariance: Vector
-    velocity: Vector
-    body_rate: Vector
-    twist_covariance: Vector
 
 
 class Odometry:
@@ -109,12 +68,13 @@ class Odometry:
         self._robot = robot
         self.faults = SensorFaults(imu, self._numbers)
         """Faults of the sensors, and what has happened to the sphere."""
+        self._placement = Placement(self._filter, settings, self._numbers, self.faults)
         self.fixes_used = self.fixes_left_out = 0
         """Numbers of fixes since the start."""
         self.calibration = ""
         """Biases that were found at rest, in one line; "" before."""
         given = as_state(settings.initial_state)
-        self._given = Fix(-math.inf, given, self._covariance(given, None))
+        self._given = Fix(-math.inf, given, self._placement.covariance(given, None))
         self._begin()
 
     def _begin(self) -> None:
@@ -164,25 +124,13 @@ class Odometry:
     @property
     def estimate(self) -> PoseEstimate | None:
         """The pose at the newest reading; None before the calibration."""
-        belief = self._belief
-        if belief is None:
+        if self._belief is None:
             return None
-        radius, rate = self._filter.rolled(belief), self._rate
-        pose = self._filter.moved(self._head, np.array((rate, rate)), self.delay, radius)
-        turn = rotation.matrix(pose[QUATERNION])
-        to_body = np.eye(5)
-        to_body[2:, 2:] = turn.T
-        velocity = radius * ROLL @ (turn @ rate)
-        moves = np.concatenate((velocity[:2], turn @ rate))
-        within = belief.covariance[POSE_ERROR, POSE_ERROR]
-        if self._imu.delay < 0.0:  # of an even distribution over the time between two readings
-            within = within + self._step**2 / 12.0 * np.outer(moves, moves)
-        spread = belief.covariance[GYRO_BIAS, GYRO_BIAS]
-        spread = spread + np.eye(3) * self._filter.imu.gyro_noise**2 / self._numbers.interval
-        by = np.vstack((turn.T @ (radius * ROLL) @ turn, np.eye(3)))
-        return PoseEstimate(
-            self._open.times[-1], pose, to_body @ within @ to_body.T, velocity, rate,
-            by @ spread @ by.T,
+        # Of an even distribution over the time between two readings.
+        spread = self._step / math.sqrt(12.0) if self._imu.delay < 0.0 else 0.0
+        return pose_estimate(
+            self._filter, self._belief._replace(pose=self._head), self._open.times[-1], self._rate,
+            (self.delay, spread), self._numbers.interval,
         )
 
     @property
@@ -270,13 +218,14 @@ class Odometry:
         and heading are taken alone.
         """
         pose = as_state(pose)
-        given = Fix(time, pose, self._covariance(pose, covariance))
+        given = Fix(time, pose, self._placement.covariance(pose, covariance))
         self.faults.placed()
         if self._belief is None:
             self._given = given
             return
         self._close()
-        self._belief = self._placed(self._belief, given)
+        rested = self._rest.rested.samples if self._rest.duration else None
+        self._belief = self._placement.placed(self._belief, given, rested)
         self._history.clear()
         self._follow_readings()
 
@@ -306,7 +255,7 @@ class Odometry:
         if any(one.time == time and np.array_equal(one.pose, pose) for one in self._fixes):
             return self._left_out("given the same fix again")
         # Readings are those of the time of their stamps less the delay.
-        fix = Fix(time + self.delay, pose, self._covariance(pose, covariance))
+        fix = Fix(time + self.delay, pose, self._placement.covariance(pose, covariance))
         self._fixes.append(Fix(time, pose, fix.covariance))
         if fix.time > self._open.times[0]:
             self._pending.append(fix)
@@ -329,17 +278,6 @@ class Odometry:
             world = self._belief.covariance[POSE_ERROR, POSE_ERROR]
             self._given = Fix(-math.inf, self._head, world)
         self._begin()
-
-    def _covariance(self, pose: Vector, covariance: Vector | None) -> Vector:
-        """Return the covariance of a given pose in the world frame."""
-        given = self._settings
-        if covariance is None:
-            deviations = [given.position_deviation] * 2 + [given.orientation_deviation] * 3
-            covariance = np.diag(np.square(deviations))
-        turn = np.eye(5)
-        turn[2:, 2:] = rotation.matrix(pose[QUATERNION])
-        found: Vector = turn @ bounded(covariance) @ turn.T + LEAST_DEVIATION**2 * np.eye(5)
-        return found
 
     def _left_out(self, text: str) -> Condition:
         self.fixes_left_out += 1
@@ -380,7 +318,7 @@ class Odometry:
         if speeds is None:
             return np.zeros((2, 3))
         turn = rotation.matrix(self._head[QUATERNION])
-        rate = self._filter.model_rate(belief, turn, speeds)[0]
+        rate = self._filter.rotors.rate(belief, turn, speeds)[0]
         return np.array((rate, rate))
 
     def _close_if_due(self) -> None:
@@ -419,7 +357,10 @@ class Odometry:
         self._was_still = samples.still
         self.faults.interval(samples, findings, self._belief, self.delay)
         if samples.still and self._rest.is_lasting():
-            self._compare_tilt(self._belief)
+            tilted = self._placement.tilted(self._belief, self._rest.rested.samples, -self.delay)
+            if tilted is not None:
+                self._belief = tilted
+                self._history.clear()
         due = [fix for fix in self._pending if fix.time <= samples.times[-1]]
         self._pending = [fix for fix in self._pending if fix.time > samples.times[-1]]
         for fix in due:
@@ -465,7 +406,7 @@ class Odometry:
             self._filter.raise_noises(*densities)
             noise = self._filter.imu.gyro_noise / math.sqrt(self._step)
             self._slowest = _FASTER * max(scatter, noise)
-        self._belief = self._started(samples, self._given)
+        self._belief = self._placement.started(samples, self._given, -self.delay)
         bias, rested = self._belief.value(GYRO_BIAS), self._rest.duration
         left = math.sqrt(float(np.trace(self._belief.covariance[GYRO_BIAS, GYRO_BIAS])) / 3.0)
         shown = ", ".join(f"{math.degrees(one):.3f}" for one in bias)
@@ -476,63 +417,6 @@ class Odometry:
         self.faults.bias(samples.times[-1], bias)
         self._was_still = samples.still
         self._follow_readings()
-
-    def _started(self, samples: Samples, given: Fix) -> Belief:
-        """Return the belief in a given pose, with the tilt that gravity shows, at their end."""
-        rate = samples.rates[0] if samples.still else np.zeros(3)
-        belief = initial_belief(
-            given.pose, self._filter.imu, self._settings, self._numbers, -self.delay, rate
-        )
-        vertical = self._filter.turn @ np.mean(samples.forces, axis=0)
-        vertical = vertical / max(float(np.linalg.norm(vertical)), 1e-3)
-        begun = given._replace(time=samples.times[-1])
-        shown, taken = (vertical, tilt_deviation(self._imu)), (vertical, _ANY_TILT)
-        belief = self._with_given(belief, begun, shown, taken)
-        return self._filter.advance(belief, samples)[0]
-
-    def _compare_tilt(self, belief: Belief) -> None:
-        """Begin anew where a lasting rest contradicts the tilt."""
-        samples = self._rest.rested.samples
-        square, between = self._filter.tilt_square(belief, samples)
-        if square < _CONTRADICTED * self._numbers.improbable(3):
-            return
-        self.faults.tilted(samples.times[-1], between)
-        # What has turned it unnoticed may have turned it about the vertical, too.
-        covariance = belief.covariance[POSE_ERROR, POSE_ERROR].copy()
-        away = between * np.array([self._filter.radius] * 2 + [0.0, 0.0, 1.0])
-        given = Fix(samples.times[-1], belief.pose, covariance + np.diag(away**2))
-        self._belief = self._started(samples, given)
-        self._history.clear()
-
-    def _placed(self, belief: Belief, given: Fix) -> Belief:
-        """Return the belief of a sphere that is put at a given pose."""
-        vertical = rotation.vertical(belief.pose[QUATERNION])
-        tilt = belief.covariance[PHI, PHI][:2, :2]
-        shown, spread = vertical, math.sqrt(float(np.trace(tilt)))
-        if self._rest.duration:
-            # What is measured, and not what is believed, which may be what has to be mended.
-            forces = np.array(self._rest.rested.samples.forces)
-            shown = self._filter.turn @ sensor_map(belief, self._filter.turn).forces(forces)[0]
-            shown = shown / max(float(np.linalg.norm(shown)), 1e-3)
-            spread = tilt_deviation(self._imu)
-        return self._with_given(belief, given, (shown, spread), (vertical, tilt))
-
-    def _with_given(
-        self, belief: Belief, given: Fix, shown: tuple[Vector, float], taken: tuple[Vector, Vector]
-    ) -> Belief:
-        """Return the belief at a given pose, whose tilt may be unknown or contradicted.
-
-        `shown` are the vertical by gravity and its deviation, `taken` are the vertical and the
-        covariance of the tilt that take the place of the given ones then.
-        """
-        told, is_opposite = contradiction(given, *shown)
-        if told:
-            self.faults.see(Kind.TILT_REPLACED, given.time, told)
-        if is_opposite:
-            self.faults.lost(given.time, told)
-        if told or not has_tilt(given.covariance):
-            given = with_vertical(given, *taken)
-        return replaced(belief, given.pose, given.covariance)
 
     def _use(self, fix: Fix) -> Condition | None:
         """Use a fix at the instant of its measurement; return why it is not."""

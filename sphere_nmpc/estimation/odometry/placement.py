@@ -3,11 +3,21 @@
 """Where the odometry begins: a given pose, with the tilt that gravity shows."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.odometry.given_pose import (
+    LEAST_DEVIATION,
+    Fix,
+    bounded,
+    contradiction,
+    has_tilt,
+    with_vertical,
+)
+from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
     ARM,
     BY_FORCE,
@@ -19,37 +29,120 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     GYRO_MATRIX,
     MOMENTUM,
     OFFSET,
+    PHI,
+    POSE_ERROR,
     RADIUS,
     SIZE,
     Belief,
+    Samples,
+    replaced,
 )
+from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import QUATERNION, Vector
 
-LEAST_DEVIATION = 1e-6
-"""Least standard deviation of a given pose [m, rad], for which its covariance stays regular."""
-MOST_VARIANCE = (1e6, math.pi**2)
-"""Largest variances of a given position [m^2] and rotation [rad^2]: more is not known at all."""
-_NEARLY = 0.2
-"""Angle within which a vertical is the opposite one [rad]."""
-_OPPOSITE = "; or has the accelerometer the opposite sign?"
-_CONTRADICTED = 6.0
-"""Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
+_CONTRADICTED = 4.0
+"""Improbable squares of a force at rest [-] at which the tilt is another one."""
+_ANY_TILT = np.eye(2)
+"""Covariance of a tilt before the force at rest shows it [rad^2]."""
 
 
-class Fix(NamedTuple):
-    """A pose that was measured elsewhere."""
+class Placement:
+    """Beliefs of a sphere at a given pose, whose tilt gravity may contradict, which is reported.
 
-    time: float
-    """Time of measurement [s]."""
-    pose: Vector
-    """Position [m] and quaternion wxyz, shape (6,)."""
-    covariance: Vector
-    """Of the error in the world frame, shape (5, 5)."""
-    replaces: bool = False
-    """Whether it replaces the pose rather than being averaged with it."""
+    Parameters
+    ----------
+    inertial : InertialFilter
+        Filter, with the settings of the IMU.
+    settings : OdometrySettings
+        What is known of given poses and of the robot.
+    numbers : OdometryNumbers
+        What is improbable.
+    faults : SensorFaults
+        Where it is reported.
+    """
+
+    def __init__(
+        self, inertial: InertialFilter, settings: OdometrySettings, numbers: OdometryNumbers,
+        faults: SensorFaults,
+    ) -> None:
+        self._filter, self._settings = inertial, settings
+        self._numbers, self._faults = numbers, faults
+        self._spread = tilt_deviation(inertial.imu)
+
+    def covariance(self, pose: Vector, covariance: Vector | None) -> Vector:
+        """Return the covariance of a given pose in the world frame, shape (5, 5)."""
+        given = self._settings
+        if covariance is None:
+            deviations = [given.position_deviation] * 2 + [given.orientation_deviation] * 3
+            covariance = np.diag(np.square(deviations))
+        turn = np.eye(5)
+        turn[2:, 2:] = rotation.matrix(pose[QUATERNION])
+        found: Vector = turn @ bounded(covariance) @ turn.T + LEAST_DEVIATION**2 * np.eye(5)
+        return found
+
+    def started(self, samples: Samples, given: Fix, late: float) -> Belief:
+        """Return the belief in a given pose, with the tilt that gravity shows, at their end.
+
+        `late` is the expected offset of stamps [s].
+        """
+        rate = samples.rates[0] if samples.still else np.zeros(3)
+        belief = initial_belief(
+            given.pose, self._filter.imu, self._settings, self._numbers, late, rate
+        )
+        vertical = self._filter.turn @ np.mean(samples.forces, axis=0)
+        vertical = vertical / max(float(np.linalg.norm(vertical)), 1e-3)
+        begun = given._replace(time=samples.times[-1])
+        belief = self._at(belief, begun, (vertical, self._spread), (vertical, _ANY_TILT))
+        return self._filter.advance(belief, samples)[0]
+
+    def tilted(self, belief: Belief, samples: Samples, late: float) -> Belief | None:
+        """Return the belief that begins anew where a lasting rest contradicts the tilt, or None.
+
+        `samples` are the mean over that rest.
+        """
+        square, between = self._filter.tilt_square(belief, samples)
+        if square < _CONTRADICTED * self._numbers.improbable(3):
+            return None
+        self._faults.tilted(samples.times[-1], between)
+        # What has turned it unnoticed may have turned it about the vertical, too.
+        away = between * np.array([self._filter.radius] * 2 + [0.0, 0.0, 1.0])
+        covariance = belief.covariance[POSE_ERROR, POSE_ERROR] + np.diag(away**2)
+        return self.started(samples, Fix(samples.times[-1], belief.pose, covariance), late)
+
+    def placed(self, belief: Belief, given: Fix, rested: Samples | None) -> Belief:
+        """Return the belief of a sphere that is put at a given pose.
+
+        `rested` is the mean over the present rest, None in motion.
+        """
+        vertical = rotation.vertical(belief.pose[QUATERNION])
+        tilt = belief.covariance[PHI, PHI][:2, :2]
+        shown, spread = vertical, math.sqrt(float(np.trace(tilt)))
+        if rested is not None:
+            # What is measured, and not what is believed, which may be what has to be mended.
+            sensor = sensor_map(belief, self._filter.turn)
+            shown = self._filter.turn @ sensor.forces(np.array(rested.forces))[0]
+            shown, spread = shown / max(float(np.linalg.norm(shown)), 1e-3), self._spread
+        return self._at(belief, given, (shown, spread), (vertical, tilt))
+
+    def _at(
+        self, belief: Belief, given: Fix, shown: tuple[Vector, float], taken: tuple[Vector, Vector]
+    ) -> Belief:
+        """Return the belief at a given pose, whose tilt may be unknown or contradicted.
+
+        `shown` are the vertical by gravity and its deviation, `taken` are the vertical and the
+        covariance of the tilt that take the place of the given ones then.
+        """
+        told, is_opposite = contradiction(given, *shown)
+        if told:
+            self._faults.see(Kind.TILT_REPLACED, given.time, told)
+        if is_opposite:
+            self._faults.lost(given.time, told)
+        if told or not has_tilt(given.covariance):
+            given = with_vertical(given, *taken)
+        return replaced(belief, given.pose, given.covariance)
 
 
 def initial_belief(
@@ -89,58 +182,3 @@ def tilt_deviation(imu: ImuSettings) -> float:
         imu.accelerometer_bias / GRAVITY, imu.orientation_deviation, imu.cross_axis,
         imu.accelerometer_scale,
     )
-
-
-def bounded(covariance: Vector) -> Vector:
-    """Return a covariance, shape (5, 5), with variances that are not beyond what is unknown."""
-    most = np.array([MOST_VARIANCE[0]] * 2 + [MOST_VARIANCE[1]] * 3)
-    shrunk = np.sqrt(most / np.maximum(np.diag(covariance), most))
-    # Larger ones first, as the products of others with them may overflow.
-    found: Vector = shrunk[:, None] * covariance * shrunk
-    return found
-
-
-def has_tilt(covariance: Vector) -> bool:
-    """Return whether a pose with a covariance, (5, 5), has a tilt: RViz and AMCL send 0 for it."""
-    return float(np.trace(covariance[2:4, 2:4])) >= 4.0 * LEAST_DEVIATION**2
-
-
-def with_vertical(given: Fix, vertical: Vector, tilt: Vector) -> Fix:
-    """Return a given pose with a vertical in the body, (3,), and the covariance of that, (2, 2).
-
-    The heading is that of the shortest rotation between both verticals.
-    """
-    stated = rotation.vertical(given.pose[QUATERNION])
-    axis = np.cross(vertical, stated).astype(float)
-    length = float(np.linalg.norm(axis))
-    between = math.atan2(length, float(stated @ vertical))
-    if length < 1e-9:
-        axis, length = np.array((1.0, 0.0, 0.0)), 1.0
-    q = rotation.product(given.pose[QUATERNION], rotation.exponential(axis * (between / length)))
-    covariance = given.covariance.copy()
-    covariance[2:4, :] = covariance[:, 2:4] = 0.0
-    covariance[2:4, 2:4] = tilt
-    pose = np.concatenate((given.pose[:2], q / math.sqrt(float(q @ q))))
-    return given._replace(pose=pose, covariance=covariance)
-
-
-def contradiction(given: Fix, vertical: Vector, spread: float) -> tuple[str, bool]:
-    """Return in one line how gravity contradicts the tilt of a given pose, "" where it does not.
-
-    Also whether it is the opposite, as with an accelerometer of the other sign.
-
-    `vertical` is that in the body frame as gravity shows it, shape (3,), and `spread` its standard
-    deviation [rad].
-    """
-    stated = rotation.vertical(given.pose[QUATERNION])
-    between = math.atan2(float(np.linalg.norm(np.cross(vertical, stated))), stated @ vertical)
-    known = float(np.trace(given.covariance[2:4, 2:4]))
-    allowed = _CONTRADICTED * math.sqrt(known + spread**2)
-    if between <= allowed or not has_tilt(given.covariance):
-        return "", False
-    is_opposite = between > math.pi - _NEARLY
-    return (
-        f"given a pose whose vertical is {math.degrees(between):.1f} deg from that "
-        f"of the accelerometer, expected at most {math.degrees(allowed):.1f} deg; "
-        f"position and heading are taken{_OPPOSITE if is_opposite else ''}"
-    ), is_opposite

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
-from sphere_nmpc.estimation.odometry.inertial_state import POSE_ERROR, Belief, Samples, replaced
-from sphere_nmpc.estimation.odometry.placement import (
+from sphere_nmpc.estimation.odometry.given_pose import (
     MOST_VARIANCE,
     Fix,
     has_tilt,
     with_vertical,
 )
+from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
+from sphere_nmpc.estimation.odometry.inertial_state import POSE_ERROR, Belief, Samples, replaced
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector

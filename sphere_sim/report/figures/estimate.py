@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from sphere_nmpc.estimation.odometry.odometry import PoseEstimate
+from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model.state import Vector
 from sphere_sim.report.figures.style import (
     ANGLE,

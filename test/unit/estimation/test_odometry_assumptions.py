@@ -15,7 +15,6 @@ from scipy.stats import chi2
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry import Odometry
-from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
 from sphere_nmpc.estimation.odometry.inertial_state import (
     FORCE_MATRIX,
     GYRO_MATRIX,
@@ -24,6 +23,7 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     Belief,
     Samples,
 )
+from sphere_nmpc.estimation.odometry.rotor_model import RotorModel
 from sphere_nmpc.estimation.odometry.rotor_speeds import RotorSpeeds
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
@@ -294,12 +294,11 @@ def test_gates_are_quantiles_of_one_probability() -> None:
 
 def test_rate_by_the_balance_of_momentum_is_that_of_the_model() -> None:
     rng = np.random.default_rng(3)
-    inertial = InertialFilter(DEFAULT, ROBOT, OdometryNumbers())
     belief = Belief(np.zeros(6), np.zeros(SIZE - 5), np.eye(SIZE), np.zeros(3), np.zeros(3))
     belief.numbers[MOMENTUM.start - 5 : MOMENTUM.stop - 5] = momentum = rng.normal(0.0, 20.0, 3)
     for _ in range(20):
         q, speeds = rotation.random_quaternion(rng), rng.uniform(-100.0, 100.0, 2)
-        rate, _ = inertial.model_rate(belief, rotation.matrix(q), speeds)
+        rate, _ = RotorModel(ROBOT).rate(belief, rotation.matrix(q), speeds)
         lumped = ca.DM(ROBOT.lumped.as_array())
         expected = world_rate(ca.DM(q), ca.DM(momentum), ca.DM(speeds), lumped, ca.DM.zeros(3))
         np.testing.assert_allclose(

@@ -63,7 +63,8 @@ def test_poses_that_are_late_make_the_controllers_lag_longer(first) -> None:
 def test_mounting_of_an_imu_is_found() -> None:
     one = drawn(2, with_imu=True)
     result = errors(one, of(one))
-    assert result["imu.position"][0] < 2e-3 and result["imu.orientation"][0] < 2e-3
+    # Nine elements by which axes cross are 0.4 % each, of which a mounting may be three.
+    assert result["imu.position"][0] < 2e-3 and result["imu.orientation"][0] < 0.01
     assert abs(result["offset of IMU stamps"][0]) < 0.5
 
 
@@ -89,8 +90,10 @@ def test_imu_and_encoders_alone_show_constants_radius_and_place() -> None:
     one = drawn(3, with_imu=True, inside=True)
     found = identified(one.recorded, Given(one.given, imu=one.known_imu))
     result = errors(one, found)
-    for name in ("robot.shell_radius", "c1", "r1", "r3"):
-        assert result[name][0] < 0.01, name
+    # The radius is seen by the scale of the accelerometer and by how its axes cross.
+    assert result["robot.shell_radius"][0] < 0.015
+    for name in ("c1", "r1", "r3"):
+        assert result[name][0] < 0.005, name
     assert result["imu.position"][0] < 2e-3
     unseen = {row.name for row in found.rows if not row.deviation}
     assert unseen == {"imu.orientation", "pose_position_noise", "pose_orientation_noise"}

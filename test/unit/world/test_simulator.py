@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, as_state
+from sphere_nmpc.ros.settings import OdometryNodeSettings
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.clock import SimulatedClock
 from sphere_sim.world.settings import SimulatorSettings
@@ -116,7 +116,7 @@ def simulator(hold: FirstOrderHold | None = None, **changes: object) -> Simulato
 
 def test_odometry_and_case_1_begin_where_the_simulator_does() -> None:
     start = SimulatorSettings().initial_state
-    assert OdometrySettings().initial_state == start
+    assert OdometryNodeSettings().initial_state == start
     np.testing.assert_array_equal(as_state(start), PAPER_CASES[1].start)
 
 

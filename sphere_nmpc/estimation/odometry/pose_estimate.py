@@ -1,0 +1,65 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the odometry says of pose and velocity, and how certain it is."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sphere_nmpc.estimation.odometry.inertial_filter import ROLL, InertialFilter
+from sphere_nmpc.estimation.odometry.inertial_state import GYRO_BIAS, POSE_ERROR, Belief
+from sphere_nmpc.model import rotation
+from sphere_nmpc.model.state import QUATERNION, Vector
+
+
+class PoseEstimate(NamedTuple):
+    """Pose and velocity at the instant of a reading.
+
+    Attributes
+    ----------
+    time : float
+        Control time of the newest reading [s].
+    pose : ndarray, shape (6,)
+        Position [m] and quaternion wxyz, body to world.
+    covariance : ndarray, shape (5, 5)
+        Of the error [dx, dy, a1, a2, a3]: position [m; world frame], rotation [rad; body frame].
+    velocity : ndarray, shape (3,)
+        Of the centre [m/s; world frame].
+    body_rate : ndarray, shape (3,)
+        Angular velocity [rad/s; body frame].
+    twist_covariance : ndarray, shape (6, 6)
+        Of linear [m/s] and angular velocity [rad/s], both in the body frame.
+    """
+
+    time: float
+    pose: Vector
+    covariance: Vector
+    velocity: Vector
+    body_rate: Vector
+    twist_covariance: Vector
+
+
+def pose_estimate(
+    inertial: InertialFilter, belief: Belief, time: float, rate: Vector,
+    delay: tuple[float, float], interval: float,
+) -> PoseEstimate:
+    """Return pose and velocity at a time [s], by a belief at the newest reading.
+
+    That is of `delay` [s] before, which has a standard deviation [s]; the angular velocity `rate`
+    [rad/s; body frame] moves it on, whose noise is that over `interval` [s].
+    """
+    late, spread = delay
+    radius = inertial.rolled(belief)
+    pose = inertial.moved(belief.pose, np.array((rate, rate)), late, radius)
+    turn = rotation.matrix(pose[QUATERNION])
+    to_body = np.eye(5)
+    to_body[2:, 2:] = turn.T
+    velocity = radius * ROLL @ (turn @ rate)
+    moves = np.concatenate((velocity[:2], turn @ rate))
+    within = belief.covariance[POSE_ERROR, POSE_ERROR] + spread**2 * np.outer(moves, moves)
+    rates = belief.covariance[GYRO_BIAS, GYRO_BIAS]
+    rates = rates + np.eye(3) * inertial.imu.gyro_noise**2 / interval
+    by = np.vstack((turn.T @ (radius * ROLL) @ turn, np.eye(3)))
+    return PoseEstimate(
+        time, pose, to_body @ within @ to_body.T, velocity, rate, by @ rates @ by.T
+    )

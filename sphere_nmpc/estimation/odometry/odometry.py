@@ -224,7 +224,7 @@ class Odometry:
             self._given = given
             return
         self._close()
-        rested = self._rest.rested.samples if self._rest.duration else None
+        rested = self._rest.recent(self._numbers.rest) if self._rest.duration else None
         self._belief = self._placement.placed(self._belief, given, rested)
         self._history.clear()
         self._follow_readings()
@@ -357,7 +357,9 @@ class Odometry:
         self._was_still = samples.still
         self.faults.interval(samples, findings, self._belief, self.delay)
         if samples.still and self._rest.is_lasting():
-            tilted = self._placement.tilted(self._belief, self._rest.rested.samples, -self.delay)
+            # Of the last while, as biases walk over a long rest.
+            mean = self._rest.recent(self._numbers.contradicted)
+            tilted = self._placement.tilted(self._belief, mean, -self.delay)
             if tilted is not None:
                 self._belief = tilted
                 self._history.clear()

@@ -101,7 +101,7 @@ class Placement:
     def tilted(self, belief: Belief, samples: Samples, late: float) -> Belief | None:
         """Return the belief that begins anew where a lasting rest contradicts the tilt, or None.
 
-        `samples` are the mean over that rest.
+        `samples` are a mean at rest.
         """
         square, between = self._filter.tilt_square(belief, samples)
         if square < _CONTRADICTED * self._numbers.improbable(3):
@@ -115,7 +115,7 @@ class Placement:
     def placed(self, belief: Belief, given: Fix, rested: Samples | None) -> Belief:
         """Return the belief of a sphere that is put at a given pose.
 
-        `rested` is the mean over the present rest, None in motion.
+        `rested` is a mean at rest, None in motion.
         """
         vertical = rotation.vertical(belief.pose[QUATERNION])
         tilt = belief.covariance[PHI, PHI][:2, :2]

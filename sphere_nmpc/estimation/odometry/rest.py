@@ -23,8 +23,10 @@ _SIGNIFICANT = 8.0
 differ less from one interval to the next than normal ones, and a day has 2 million intervals."""
 _MOST_SCATTER = np.array([0.1] * 3 + [0.15 * GRAVITY] * 3)
 """Scatter of means over an interval at rest [rad/s, m/s^2]: more is motion."""
-MOST_BIAS = 0.15
+_MOST_BIAS = 0.15
 """Largest angular velocity that may be a bias of the gyro [rad/s]."""
+_FEWEST = 6
+"""Intervals whose scatter is known."""
 _CHANNELS = ("gyro", "accelerometer", "rotors")
 _UNITS = ("rad/s", "m/s^2", "rad/s")
 
@@ -120,7 +122,7 @@ class RestDetector:
         while end - self._blocks[0].start > numbers.contradicted + 0.5 * duration:
             self._blocks.popleft()
         recent = [one for one in self._blocks if one.start > end - numbers.rest - 0.5 * duration]
-        if end - self._blocks[0].start < numbers.rest - duration:
+        if end - self._blocks[0].start < numbers.rest - duration or len(recent) < _FEWEST:
             return False
         moves = self._motion(np.array([one.means for one in recent]), duration)
         if moves:
@@ -174,9 +176,9 @@ class RestDetector:
         turning = mean[6:] - _SIGNIFICANT * scatter[6:] / math.sqrt(len(rows))
         if np.any(turning > self._slowest):
             return f"rotors that turn with {np.max(mean[6:]):.2g} rad/s"
-        if np.max(mean[:3]) > MOST_BIAS:
+        if np.max(mean[:3]) > _MOST_BIAS:
             return (
                 f"an angular velocity of {np.max(mean[:3]):.2g} rad/s, expected at most "
-                f"{MOST_BIAS:g} rad/s of a bias"
+                f"{_MOST_BIAS:g} rad/s of a bias"
             )
         return ""

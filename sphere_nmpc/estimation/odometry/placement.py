@@ -96,7 +96,8 @@ class Placement:
         vertical = vertical / max(float(np.linalg.norm(vertical)), 1e-3)
         begun = given._replace(time=samples.times[-1])
         belief = self._at(belief, begun, (vertical, self._spread), (vertical, _ANY_TILT))
-        return self._filter.advance(belief, samples)[0]
+        # What the tilt was off is no vibration.
+        return self._filter.advance(belief, samples)[0]._replace(vibration=np.zeros(3))
 
     def tilted(self, belief: Belief, samples: Samples, late: float) -> Belief | None:
         """Return the belief that begins anew where a lasting rest contradicts the tilt, or None.

@@ -21,6 +21,8 @@ from sphere_nmpc.model.state import Vector
 _SIGNIFICANT = 8.0
 """Standard deviations [-] by which the means of two halves may differ: vibrations of an engine
 differ less from one interval to the next than normal ones, and a day has 2 million intervals."""
+_NORMAL = 0.954
+"""Median difference of two normal numbers over their standard deviation [-]."""
 _MOST_SCATTER = np.array([0.1] * 3 + [0.15 * GRAVITY] * 3)
 """Scatter of means over an interval at rest [rad/s, m/s^2]: more is motion."""
 _MOST_BIAS = 0.15
@@ -155,17 +157,16 @@ class RestDetector:
 
     def _motion(self, rows: Vector, duration: float) -> str:
         """Return what changes in rows of means, each over `duration` [s]; "" for nothing."""
-        # The newest one is compared with the others, whose scatter it must not hide in.
-        newest, rows = rows[-1], rows[:-1]
         first, second = rows[: len(rows) // 2], rows[len(rows) // 2 :]
-        # By differences of neighbours, which a slow change does not enlarge.
-        scatter = np.sqrt(0.5 * np.mean(np.diff(rows, axis=0) ** 2, axis=0))
+        # By the median difference of neighbours, which neither a slow change nor some intervals
+        # of motion enlarge.
+        scatter = np.median(np.abs(np.diff(rows, axis=0)), axis=0) / _NORMAL
         if np.any(scatter[:6] > _MOST_SCATTER):
             return "readings that scatter as in motion"
         least = np.append(self._densities / math.sqrt(duration), [0.5 * self._slowest] * 2)
         scatter = np.maximum(scatter, least)
         change = np.abs(second.mean(axis=0) - first.mean(axis=0))
-        away = np.abs(newest - rows.mean(axis=0))
+        away = np.max(np.abs(rows - np.median(rows, axis=0)), axis=0)
         over = np.maximum(change / (2.0 / math.sqrt(len(rows))), away) / scatter
         worst = int(np.argmax(over))
         if over[worst] > _SIGNIFICANT:

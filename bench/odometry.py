@@ -5,6 +5,7 @@
     python bench/odometry.py --json out/odometry.json                # about half an hour
     python bench/odometry.py --parts drift others --seeds 10
     python bench/odometry.py --parts goals wrong --goals 20
+    python bench/odometry.py --set imu.cross_axis=0 imu.g_sensitivity=0    # other errors of the IMU
 
 Errors are those of the true state. `others` has the sensor data of `drift` and needs the package
 `ahrs` from PyPI. A figure of three is median, 95th percentile and maximum.
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 from node_runs import machine, write_json
 from odometry_drives import (
+    FURTHER,
     INSTANTS,
     conditions_of,
     drift,
@@ -191,9 +193,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=50, help="drives on each plant")
     parser.add_argument("--minutes", type=float, default=20.0, help="length of the run with fixes")
     parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="as of study")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     limit_library_threads()
+    for one in options.set:
+        name, _, value = one.partition("=")
+        FURTHER.append((name, value))
     result: dict[str, Any] = {"machine": machine()}
     measures: dict[str, Callable[[], dict[str, Any]]] = {
         "goals": lambda: goals(options, "goals"), "wrong": lambda: goals(options, "wrong"),

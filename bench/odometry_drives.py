@@ -60,10 +60,15 @@ class Drive(NamedTuple):
         return np.concatenate(([0.0], np.cumsum(steps)))
 
 
+FURTHER: list[tuple[str, str]] = []
+"""Settings of all runs, by name and value."""
+
+
 def conditions_of(plant: str, *more: tuple[str, str]) -> StudyConditions:
     """Return conditions of runs of 15 s with an odometry on a plant."""
     own = [("rigid_body.friction", "0.5")] if plant == "rigid_body" else []
-    given = [("simulator.plant", plant), ("simulator.pose_source", "odometry"), *own, *more]
+    given = [("simulator.plant", plant), ("simulator.pose_source", "odometry")]
+    given += [*own, *FURTHER, *more]
     return StudyConditions(duration=15.0).with_settings(given)
 
 

@@ -5,7 +5,7 @@
     python bench/odometry.py --json out/odometry.json                # about half an hour
     python bench/odometry.py --parts drift others --seeds 10
     python bench/odometry.py --parts goals wrong --goals 20
-    python bench/odometry.py --set imu.cross_axis=0 imu.g_sensitivity=0    # other errors of the IMU
+    python bench/odometry.py --set imu.cross_axis=0 imu.g_sensitivity=0
 
 Errors are those of the true state. `others` has the sensor data of `drift` and needs the package
 `ahrs` from PyPI. A figure of three is median, 95th percentile and maximum.

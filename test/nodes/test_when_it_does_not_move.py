@@ -248,7 +248,16 @@ def readings_that_end(graph) -> None:
     readings(graph, stamped=True, until=0.5)
 
 
-def no_rotors(graph) -> None:
+def rotor_speeds_that_end(graph) -> None:
+    sender, end = graph.probe.create_publisher(JointState, "joint_states", 10), time.monotonic()
+
+    def send() -> None:
+        if time.monotonic() < end + 0.5:
+            joints = JointState(name=list(JOINT_NAMES), velocity=[0.0, 0.0])
+            joints.header.stamp = stamp_to_ros(time.time_ns())
+            sender.publish(joints)
+
+    graph.probe.create_timer(0.01, send)
     readings(graph, stamped=True)
 
 
@@ -301,7 +310,7 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     readings_without_a_stamp: ("odometry", "readings of the IMU on …"),
     readings_that_end: ("odometry", "no IMU: given none"),
     no_imu: ("odometry", "no IMU: given no publisher"),
-    no_rotors: ("odometry", "joint_states:=/its"),
+    rotor_speeds_that_end: ("odometry", "cannot be told; … is published by"),
     pose_of_the_simulator_beside: ("odometry", "the pose jumps between them"),
     odometry_without_an_imu: ("controller", "… reports …"),
     rotor_speeds_without_a_stamp: ("odometry", "no stamp: given rotor speeds"),

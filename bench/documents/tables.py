@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of documents, what several of them judge runs by, and runs in several processes."""
 
+import multiprocessing
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
@@ -47,6 +48,10 @@ def last_arrival(states: Vector, goal: Vector) -> int:
 def in_processes(
     call: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], jobs: int | None = None
 ) -> list[Any]:
-    """Return the results of calls with the arguments of each task, made in new processes."""
-    with ProcessPoolExecutor(jobs) as pool:
+    """Return the results of calls with the arguments of each task, made in new processes.
+
+    They are no copies of this one, whose libraries (DDS, an engine, a browser) may be half way
+    through something in another thread.
+    """
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(call, *zip(*tasks, strict=True)))

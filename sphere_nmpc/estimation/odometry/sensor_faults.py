@@ -33,8 +33,9 @@ LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
 _LASTING = LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
 _LOST_BY = 0.1
 """Angle by which the shell has turned unnoticed at which it has been moved as well [rad]."""
-_LATE = 5e-3
-"""Offset of stamps that is told [s]: at full acceleration the rotors change by 2 rad/s in it."""
+_LATE = 8e-3
+"""Offset of stamps that is told [s]: more than half of the time between two readings at 100 Hz, by
+which the delay of an IMU is not known; at full acceleration the rotors change by 3 rad/s in it."""
 
 
 class SensorFaults:

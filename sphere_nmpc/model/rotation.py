@@ -125,6 +125,12 @@ def angle_between(a: Vector, b: Vector) -> Vector:
     return angle
 
 
+def between(a: Vector, b: Vector) -> float:
+    """Return the angle between two vectors, shape (3,) each [rad]."""
+    # Accurate for all angles, where arccos of the product is not for small ones.
+    return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))
+
+
 def is_unit(q: Vector) -> NDArray[np.bool_]:
     """Return whether the norm is 1 within `NORM_TOLERANCE`, shape (...); False for nan."""
     # The square of a large component would overflow.

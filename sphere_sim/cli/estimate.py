@@ -22,7 +22,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS, counted, quantities
 from sphere_nmpc.ros.cdr import BODY_FRAME, JOINT_NAMES
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
-from sphere_sim.evaluation.followed_odometry import FollowedOdometry, deviations, estimate_table
+from sphere_sim.evaluation.followed_odometry import FollowedOdometry, estimate_table
 from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.evaluation.sensor_check import FAIL, WARN, Finding, Sensor, check_sensors
 from sphere_sim.output.arguments import number
@@ -185,7 +185,7 @@ def _report(
     """Yield lines on way, deviations, errors and conditions."""
     odometry, times = followed.odometry, table["time_s"]
     way = float(np.sum(np.hypot(np.diff(table["x"]), np.diff(table["y"]))))
-    place, heading, tilt = deviations(followed.estimates[-1])
+    place, heading, tilt = followed.estimates[-1].deviations
     yield (f"{counted(len(times), 'pose')} from {times[0]:.2f} to {times[-1]:.2f} s, way "
            f"{way:.3f} m; {odometry.calibration}")
     yield (f"deviation at the end {length(place)}, heading {math.degrees(heading):.2g} deg, tilt "

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An odometry with all that it has estimated and reported while measurements were passed to it."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,7 @@ import numpy as np
 from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
-from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.model.state import Vector
 
 
 @dataclass
@@ -51,19 +49,9 @@ class FollowedOdometry:
         return estimate
 
 
-def deviations(estimate: PoseEstimate) -> tuple[float, float, float]:
-    """Return the standard deviations of position [m], heading [rad] and tilt [rad]."""
-    within = estimate.covariance
-    up = rotation.vertical(estimate.pose[QUATERNION])
-    heading = float(up @ within[2:, 2:] @ up)
-    tilt = float(np.trace(within[2:, 2:])) - heading
-    place = float(np.trace(within[:2, :2]))
-    return math.sqrt(place), math.sqrt(max(heading, 0.0)), math.sqrt(max(tilt, 0.0))
-
-
 def estimate_table(estimates: list[PoseEstimate]) -> dict[str, Vector]:
-    """Return the columns of estimates by name: times, poses and `deviations`."""
-    rows = np.array([(one.time, *one.pose, *deviations(one)) for one in estimates])
+    """Return the columns of estimates by name: times, poses and deviations."""
+    rows = np.array([(one.time, *one.pose, *one.deviations) for one in estimates])
     names = ("time_s", "x", "y", "qw", "qx", "qy", "qz", "position_deviation_m",
              "heading_deviation_rad", "tilt_deviation_rad")
     return dict(zip(names, rows.T, strict=True))

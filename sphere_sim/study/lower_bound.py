@@ -38,7 +38,7 @@ def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
     first, last = (rotation.vertical(state[QUATERNION]) for state in (start, goal))
     rolled = max(
         position_error(start, goal) / constants.shell_radius,
-        math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last)),
+        rotation.between(first, last),
     )
     least = max(
         float(_least_input(rolled, turn, _least_share(constants))),

@@ -76,7 +76,7 @@ def contradiction(given: Fix, vertical: Vector, spread: float) -> tuple[str, boo
     deviation [rad].
     """
     stated = rotation.vertical(given.pose[QUATERNION])
-    between = math.atan2(float(np.linalg.norm(np.cross(vertical, stated))), stated @ vertical)
+    between = rotation.between(vertical, stated)
     known = float(np.trace(given.covariance[2:4, 2:4]))
     allowed = _CONTRADICTED * math.sqrt(known + spread**2)
     if between <= allowed or not has_tilt(given.covariance):

@@ -189,9 +189,9 @@ class InertialFilter:
             density = imu.gyro_noise
             weighted = motion.weights[:, None, None] * motion.turns
             way = (weighted @ motion.rates[:, :, None]).sum(axis=0)[:, 0]
-            errors = motion.turned
             within: Vector = np.zeros((2, SIZE))
             if samples.usable:
+                errors = motion.turned
                 turns = errors[-1]
                 spins = crosses(weighted @ motion.rates[:, :, None])
                 within = -rolls @ (spins @ errors).sum(axis=0)
@@ -294,7 +294,7 @@ class InertialFilter:
             if not samples.still:
                 innovation = motion.weights @ motion.rates / duration - expected
                 rates = np.tile(expected, (len(motion.rates), 1))
-                errors = motion._replace(rates=rates).rate_errors(motion.forces)
+                errors = replace(motion, rates=rates).rate_errors(motion.forces)
                 by = by - np.tensordot(motion.weights / duration, errors, 1)
             variance = imu.gyro_noise**2 / duration + numbers.model_noise**2 / duration
             # Within a step of speeds the mean of two readings is not theirs.
@@ -314,9 +314,8 @@ class InertialFilter:
 
     def rest_square(self, belief: Belief, samples: Samples) -> float:
         """Return the normalised square of the angular velocity of a shell at rest."""
-        by, rate = self._rate_at_rest(belief, self._motion(belief, samples), samples)
-        noise = self.imu.gyro_noise**2 / samples.duration * np.eye(3)
-        return self._updated(belief, by, rate, noise, 0.0)[1]
+        measured = self._rate_at_rest(belief, self._motion(belief, samples), samples)
+        return self._updated(belief, *measured, 0.0)[1]
 
     def tilt_square(self, belief: Belief, samples: Samples) -> tuple[float, float]:
         """Return the normalised square of the force on a shell at rest, and the angle it shows.
@@ -330,35 +329,35 @@ class InertialFilter:
 
     def _rate_at_rest(
         self, belief: Belief, motion: Motion, samples: Samples
-    ) -> tuple[Vector, Vector]:
-        """Return the derivative of the rate at rest by the error, and the rate [rad/s; body]."""
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return the derivative of the rate at rest by the error, the rate, and its covariance.
+
+        In rad/s and the body frame.
+        """
         duration = samples.duration
         sensor = sensor_map(belief, self.turn)
         measured = sensor.rates(np.array(samples.rates), np.array(samples.forces))
         turn = motion.turns[0] @ self.turn
         forces = np.tile(GRAVITY * turn[2], (len(measured), 1))
         by = -np.tensordot(motion.weights / duration, motion.rate_errors(forces), 1)
-        return np.asarray(by, float), motion.weights @ measured / duration
+        noise = self.imu.gyro_noise**2 / duration * np.eye(3)
+        return np.asarray(by, float), motion.weights @ measured / duration, noise
 
     def _at_rest(self, belief: Belief, motion: Motion, samples: Samples) -> Belief:
         """Return the belief with the rate of the shell, which is zero, taken into account."""
-        numbers = self._numbers
-        by, rate = self._rate_at_rest(belief, motion, samples)
-        noise = self.imu.gyro_noise**2 / samples.duration * np.eye(3)
-        found, _, _ = self._updated(belief, by, rate, noise, numbers.improbable(3))
-        return found
+        measured = self._rate_at_rest(belief, motion, samples)
+        return self._updated(belief, *measured, self._numbers.improbable(3))[0]
 
     def with_other_bias(self, belief: Belief, samples: Samples) -> Belief:
         """Return the belief of a gyro whose bias is another one, as its rate at rest shows.
 
         Or the shell has turned about the vertical while that was seen.
         """
-        by, rate = self._rate_at_rest(belief, self._motion(belief, samples), samples)
+        by, rate, noise = self._rate_at_rest(belief, self._motion(belief, samples), samples)
         covariance = belief.covariance.copy()
         covariance[GYRO_BIAS, GYRO_BIAS] += np.diag(self._numbers.bias_jump**2 + rate**2)
         turned, heading = float(np.linalg.norm(rate)) * samples.duration, PHI.stop - 1
         covariance[heading, heading] += turned**2
-        noise = self.imu.gyro_noise**2 / samples.duration * np.eye(3)
         return self._updated(
             belief._replace(covariance=covariance), by, rate, noise, math.inf
         )[0]

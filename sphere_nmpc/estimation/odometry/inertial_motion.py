@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion of the shell by readings whose errors are estimated, and its derivatives by these."""
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -54,7 +56,8 @@ def sensor_map(belief: Belief, turn: Vector) -> SensorMap:
     return SensorMap(rates, rate_at_zero, np.asarray(force, float), at_zero, turn)
 
 
-class Motion(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Motion:
     """How the shell has moved in an interval, at its n + 1 readings."""
 
     pose: Vector
@@ -85,7 +88,7 @@ class Motion(NamedTuple):
             found[:, :, part] = -np.einsum("ai,kj->kaij", gyro, factors).reshape(-1, 3, 9)
         return found
 
-    @property
+    @cached_property
     def turned(self) -> Vector:
         """Errors of the orientation since the start by that at the start, (n + 1, 3, 49)."""
         by = self.turns @ self.rate_errors(self.forces)

@@ -56,7 +56,7 @@ class KeptPose(NamedTuple):
         if not self.is_at_rest:
             return f"{given}, where the sphere moved, expected one at rest"
         before, now = (rotation.vertical(one[QUATERNION]) for one in (self.pose, found.pose))
-        between = math.atan2(float(np.linalg.norm(np.cross(before, now))), float(before @ now))
+        between = rotation.between(before, now)
         tilts = (_tilt(self.covariance, before), _tilt(found.covariance, now))
         allowed = _DIFFERENT * math.sqrt(sum(tilts))
         if between > allowed:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the odometry says of pose and velocity, and how certain it is."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,15 @@ class PoseEstimate(NamedTuple):
     velocity: Vector
     body_rate: Vector
     twist_covariance: Vector
+
+    @property
+    def deviations(self) -> tuple[float, float, float]:
+        """Standard deviations of position [m], heading [rad] and tilt [rad]."""
+        within, up = self.covariance, rotation.vertical(self.pose[QUATERNION])
+        heading = float(up @ within[2:, 2:] @ up)
+        tilt = float(np.trace(within[2:, 2:])) - heading
+        place = float(np.trace(within[:2, :2]))
+        return math.sqrt(place), math.sqrt(max(heading, 0.0)), math.sqrt(max(tilt, 0.0))
 
 
 def pose_estimate(

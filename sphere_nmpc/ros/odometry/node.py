@@ -49,8 +49,6 @@ _CHECK_EVERY = 0.25
 """Wall time between two checks of sensors and topics, and two statuses [s]."""
 _SAVE_EVERY = 1.0
 """Wall time after which the pose is stored again [s]."""
-_NOT_MEASURED = -1.0
-"""First element of a covariance of sensor_msgs/Imu whose quantity is not measured."""
 
 
 class OdometryNode(ClockedNode):
@@ -129,12 +127,7 @@ class OdometryNode(ClockedNode):
         stamp, frame, numbers = imu
         if not self._reports.imu.received(stamp, np.array(numbers)):
             return
-        for name, first in (("angular_velocity", 16), ("linear_acceleration", 28)):
-            if numbers[first] == _NOT_MEASURED:
-                raise InvalidInputError(
-                    f"{name}_covariance", _NOT_MEASURED, "one that does not begin with -1, which "
-                    f"stands for an IMU that does not measure the {name}",
-                )
+        imu.check_measured()
         if not self._stored.is_settled:
             self._recall()
         if self._mounted is None and self._frames is not None:

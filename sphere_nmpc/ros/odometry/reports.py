@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Imu, JointState
 
@@ -18,8 +17,7 @@ from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.sensor_faults import LOST
 from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.foreign_text import Description
-from sphere_nmpc.model import rotation
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
+from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import seconds
 from sphere_nmpc.ros.control_clock import ControlClock
@@ -182,16 +180,13 @@ class OdometryReports:
         estimate = odometry.estimate
         position = heading = math.nan
         if estimate is not None:
-            within = estimate.covariance
-            up = rotation.vertical(estimate.pose[QUATERNION])
-            position = math.sqrt(np.trace(within[:2, :2]))
-            heading = math.degrees(math.sqrt(up @ within[2:, 2:] @ up))
+            position, heading, _ = estimate.deviations
         return {
             "calibrated": odometry.is_calibrated,
             "calibration": odometry.calibration,
             "gyro_bias_rad_s": odometry.gyro_bias.round(7).tolist(),
             "position_deviation_m": position,
-            "heading_deviation_deg": heading,
+            "heading_deviation_deg": math.degrees(heading),
             "imu_age_s": self.imu.age,
             "imu_rate_hz": self.imu.rate,
             "joint_states_rate_hz": self.joints.rate,

@@ -10,8 +10,8 @@ from typing import cast
 import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.keeping_clear import clear_command, clear_plan, stop_if_refused
 from sphere_nmpc.control.link import NEGLIGIBLE, REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
@@ -19,16 +19,16 @@ from sphere_nmpc.control.monitors import (
     Progress,
     relative_error,
 )
-from sphere_nmpc.control.planned import Planned
 from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.foreign_code import called, foreign_error
+from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal, GoalSequence
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
@@ -49,6 +49,7 @@ from sphere_nmpc.strategy.contract import (
     make_strategy,
     plan_of,
 )
+from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 from sphere_nmpc.worker.contract import Worker
@@ -60,7 +61,7 @@ _OVERSPEED = 2.0
 class Controller:
     """Control loop of estimation, planning and commands; it never raises while running.
 
-    A plan is kept while nothing is new, see `Planned`. Each command ends at rest, so that the
+    A plan is kept while nothing is new, see `InForce`. Each command ends at rest, so that the
     hold in force can safely be followed to its end: if an estimate or a solve fails, it stays in
     force. Without a goal, a pose or permission the sphere
     stops on the path of that hold; with momentum the rotors stop, and the sphere rolls on.
@@ -100,8 +101,7 @@ class Controller:
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
         self._floor = Floor.EMPTY
-        self._goal_sequence: GoalSequence | None = None
-        self._motion = GoalMotion()
+        self._course = CourseInForce()
         self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
         self._interrupted = False
@@ -116,7 +116,7 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
-        self._planned: Planned | None = None
+        self._planned: InForce | None = None
         """The newest plan, with what it was made for; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
@@ -167,19 +167,19 @@ class Controller:
         return self._arrival.took
 
     @property
-    def goal_sequence(self) -> GoalSequence | None:
-        """The goals in force, or None."""
-        return self._goal_sequence
+    def active(self) -> ActiveCourse | None:
+        """The course in force, or None."""
+        return self._course.active
 
     @property
     def goal(self) -> Vector | None:
         """Pose of the goal that is aimed at, shape (6,), or None."""
-        return None if self._goal_sequence is None else self._goal_sequence.goal.pose.copy()
+        return None if self.active is None else self.active.goal.pose.copy()
 
     def goal_speed(self, time: float) -> float:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
-        goal = self._goal_at(time)
-        return 0.0 if goal is None else float(np.linalg.norm(goal.rate[POSITION]))
+        active = self._course.at(time)
+        return 0.0 if active is None else float(np.linalg.norm(active.goal.rate[POSITION]))
 
     def remaining(self, time_left: float, way_left: float) -> tuple[float, float]:
         """Return time [s] and way [m] to the last of the goals; nan without goal or pose.
@@ -187,13 +187,13 @@ class Controller:
         To the goal that is aimed at they are those of the plan, where they are known, that is not
         nan; otherwise, and from goal to goal, those of rolling straight from rest to rest.
         """
-        goals, newest = self._goal_sequence, self._estimator.newest
-        if goals is None or newest is None:
+        active, newest = self.active, self._estimator.newest
+        if active is None or newest is None:
             return math.nan, math.nan
         rolling = SteadyRolling.of(
             self._estimator.plant.constants, self._robot.max_rotor_speed
         )
-        ahead = (goal.pose[POSITION] for goal in goals.goals[goals.index :])
+        ahead = (leg.goal.pose[POSITION] for leg in active.course.legs[active.index :])
         places = np.array([newest[1][POSITION], *ahead])
         ways: list[float] = np.linalg.norm(np.diff(places, axis=0), axis=1).tolist()
         if not math.isnan(way_left):
@@ -203,21 +203,8 @@ class Controller:
             times[0] = 0.0 if math.isnan(time_left) else time_left
         return sum(times), sum(ways)
 
-    def _goal_at(self, time: float) -> Goal | None:
-        """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""
-        goals = self._goal_sequence
-        if goals is None:
-            return None
-        given = goals.goal
-        goal = current(given, time)
-        if goal is not given:
-            self._goal_sequence = replace(
-                goals, goals=tuple(goal if one is given else one for one in goals.goals)
-            )
-        return goal
-
     def set_goal(self, goal: Vector | Goal) -> bool:
-        """Track one goal, or a goal state, shape (6,), with all of its orientation: `set_goals`.
+        """Track one goal, or a goal state, shape (6,), with all of its orientation.
 
         Raises
         ------
@@ -225,43 +212,28 @@ class Controller:
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
         one = goal if isinstance(goal, Goal) else Goal(as_state(goal))
-        return self.set_goals(GoalSequence((one,)))
+        return self.follow(ActiveCourse(Course.of(one)))
 
-    def set_goals(self, goals: GoalSequence, time: float | None = None) -> bool:
-        """Visit other goals, from the next sampling instant on.
+    def follow(self, course: ActiveCourse, time: float | None = None) -> bool:
+        """Follow another course, from the next sampling instant on.
 
-        False if they are those in force; the present plan and their progress are then kept, unless
-        all of a list have been visited. A single goal that is given again and again may differ a
-        little each time, where the control time `time` [s] is known for which it is given.
+        False if it is the one in force, see `CourseInForce.take`; the present plan and its
+        progress are then kept.
         """
-        known = self._goal_sequence
-        if time is not None and len(goals.goals) == 1:
-            goal, is_other = self._motion.update(time, goals.goal)
-            goals = replace(goals, goals=(goal,))
-            if known is not None and not is_other:
-                self._goal_sequence = goals
-                return False
-        else:
-            self._motion = GoalMotion()
-        if known is not None and known.lists_same(goals):
-            visited = known.index > 0 and self.at_goal
-            if not visited:
-                self._goal_sequence = replace(known, stamp=goals.stamp)
-                return False
-        self._aim(goals)
-        return True
+        is_other = self._course.take(course, time, self.at_goal)
+        if is_other:
+            self._aim()
+        return is_other
 
     def cancel(self) -> bool:
         """Give up the goals: the sphere stops on its path. False if there was none."""
-        if self._goal_sequence is None:
+        if not self._course.clear():
             return False
-        self._goal_sequence, self._motion = None, GoalMotion()
         self._begin_anew()
         return True
 
-    def _aim(self, goals: GoalSequence) -> None:
-        """Aim at a goal of a sequence."""
-        self._goal_sequence = goals
+    def _aim(self) -> None:
+        """Aim at another goal."""
         self._arrival = ArrivalDetector()
         self._progress.reset()
         if self._searching is None:
@@ -373,7 +345,7 @@ class Controller:
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
-        known = self._goal_sequence is not None and self._estimator.newest is not None
+        known = self.active is not None and self._estimator.newest is not None
         return known and self.enabled and self.is_at_rest(now)
 
     @property
@@ -473,7 +445,7 @@ class Controller:
         if self._is_carried:
             jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
             return Decision((jumped,), self._stop(time, jumped.kind), None, pose_age=age)
-        aim, estimate = self._goal_at(time), None
+        active, estimate = self._course.at(time), None
         failure: Exception = ArithmeticError("no estimate")
         try:
             estimate = self._estimator.estimate(time)
@@ -484,18 +456,20 @@ class Controller:
         else:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
-        goal = None if aim is None else aim.nearest(state, time)
-        if aim is None or goal is None or not self._enabled:
+        goal = None if active is None else active.goal.nearest(state, time)
+        if active is None or goal is None or not self._enabled:
             mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED
             found, plan = mode.alone, self._stop(time, mode, state)
         elif estimate is None:
             found, plan = Kind.FALLBACK.alone, self._fallback(time, state, failure)
-        elif before is not None and before.stands(time, estimate, aim, self.floor) and not (
-            self.is_due(time)
-        ):
-            self._planned, found, plan = before, before.conditions, before.plan
+        elif before is not None and before.stands(
+            time, state, estimate.uncertainty,
+            (active.leg, self._floor, estimate.plant, disturbance),
+        ) and not self.is_due(time):
+            self._planned, plan = before, before.plan
+            found = _mode_of(plan)
         else:
-            found, plan = self._plan(time, estimate, aim, goal, time_budget)
+            found, plan = self._plan(time, estimate, active, time_budget)
         decision = Decision(
             found, plan, state, goal, age, covariance, state[MOMENTUM], disturbance,
             is_new=before is None or plan is not before.plan,
@@ -504,9 +478,10 @@ class Controller:
         away = relative_error(decision, settings)
         if self._is_refused and decision.solved:
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
-        reached, goals = self._arrival.update(time, away, settings.period), self._goal_sequence
-        if reached and goals is not None and not goals.is_last:
-            self._aim(replace(goals, index=goals.index + 1))
+        reached = self._arrival.update(time, away, settings.period)
+        if reached and active is not None and not active.is_last:
+            self._course.advance()
+            self._aim()
             return decision
         arrived = reached and found is Kind.TRACKING.alone
         if goal is None or arrived or not decision.solved:
@@ -528,15 +503,13 @@ class Controller:
         )
 
     def _plan(
-        self, time: float, estimate: Estimate, aim: Goal, goal: Vector, time_budget: float
+        self, time: float, estimate: Estimate, active: ActiveCourse, time_budget: float
     ) -> tuple[tuple[Condition, ...], Plan]:
         try:
-            plant = estimate.plant
             situation = Situation(
-                time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
-                estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
-                plant.slippery, aim.orientation, aim.rate, self.floor,
-                estimate.place_deviation, self._commands.sent.newest,
+                time, estimate.state, active.course, self._commands.in_force(time),
+                estimate.plant, estimate.disturbance, self._floor, active.index,
+                estimate.covariance, time_budget,
             )
             refused, was_refused = stop_if_refused(situation, self._robot), self._is_refused
             self._is_refused = refused is not None
@@ -544,12 +517,11 @@ class Controller:
                 self._reset_strategy()  # its plan leads on from where the stop does not
             plan = refused or plan_of(self._strategy, situation, self._robot)
             plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
-            self.plans += int(plan.motion not in (0, self._followed))
-            self._followed = plan.motion
-            saturated = plan.status is PlanStatus.SATURATED
-            found = (Kind.SATURATED if saturated else Kind.TRACKING).alone
-            self._planned = Planned(found, plan, situation, aim, plant)
-            return found, plan
+            motion = plan.made.motion
+            self.plans += int(motion not in (0, self._followed))
+            self._followed = motion
+            self._planned = InForce(plan, situation, self._robot)
+            return _mode_of(plan), plan
         except Exception as error:
             return Kind.FALLBACK.alone, self._fallback(time, estimate.state, error)
 
@@ -560,7 +532,7 @@ class Controller:
         commands = self._commands
         rest = commands.in_force if self.floor.is_empty else commands.stop
         hold = self._hold_or_rest(rest, time)
-        return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
+        return _unplanned(PlanStatus.FALLBACK, hold, state, message)
 
     def _record(self, error: Exception) -> str:
         """Count an error and return its message."""
@@ -570,7 +542,7 @@ class Controller:
 
     def _stop(self, time: float, mode: Kind, state: Vector | None = None) -> Plan:
         hold = self._hold_or_rest(self._commands.stop, time)
-        return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
+        return _unplanned(PlanStatus.RAMP_TO_REST, hold, state, mode.value)
 
     def _hold_or_rest(
         self, command: Callable[[float], FirstOrderHold], time: float
@@ -620,5 +592,15 @@ class Controller:
         return strategy
 
 
-def _states(state: Vector | None) -> Vector:
-    return np.empty((0, STATE_SIZE)) if state is None else state[None, :]
+def _mode_of(plan: Plan) -> tuple[Condition, ...]:
+    """Return how things stand where a plan of the strategy is followed."""
+    saturated = plan.status is PlanStatus.SATURATED
+    return (Kind.SATURATED if saturated else Kind.TRACKING).alone
+
+
+def _unplanned(
+    status: PlanStatus, hold: FirstOrderHold, state: Vector | None, message: str
+) -> Plan:
+    """Return a plan of the loop itself."""
+    states = np.empty((0, STATE_SIZE)) if state is None else state[None, :]
+    return Plan(status, hold, states, conditions=(Condition(Kind.PLANNED, message),))

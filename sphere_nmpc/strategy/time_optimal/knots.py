@@ -50,13 +50,13 @@ class Grid:
         return self.spacing / _FINER
 
     def coarse(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold at knots about `spacing` apart."""
+        """Return a hold, from time 0 on, at knots about `spacing` apart."""
         count = max(2, round(hold.end / self.spacing))
         times: Vector = np.linspace(0.0, hold.end, count + 1, dtype=np.float64)
         return hold.resampled(times)
 
     def refined(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold with fine knots near both ends and at most `spacing` between them.
+        """Return a hold, from time 0 on, with fine knots near both ends, else `spacing` apart.
 
         Intervals of steady rolling, which are longer, are kept.
         """
@@ -72,8 +72,8 @@ class Grid:
         return hold.resampled(times)
 
     def split(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold from time 0 on in which only intervals after a manoeuvre are long."""
-        times, until = hold.times, _MANOEUVRE * self.unit + 4.0 * self.spacing
+        """Return a hold in which only intervals after a manoeuvre are long."""
+        times, until = hold.times, hold.start + _MANOEUVRE * self.unit + 4.0 * self.spacing
         long = np.flatnonzero((np.diff(times) > 2.0 * self.spacing) & (times[:-1] < until))
         if not long.size:
             return hold

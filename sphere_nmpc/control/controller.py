@@ -33,6 +33,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
+    POSE,
     POSITION,
     STATE_SIZE,
     Vector,
@@ -91,6 +92,8 @@ class Controller:
         robot = self._robot = within_torque(robot)
         self._worker = worker
         self._searching: SearchingStrategy | None = None
+        self._compares_goals = False
+        """Whether the strategy finds another goal by itself, and needs no reset."""
         self._prepared: tuple[ControllerSettings, Strategy] | None = None
         """A strategy that was made for other settings, which are not in force yet."""
         self._strategy = strategy or self._make_strategy()
@@ -236,7 +239,7 @@ class Controller:
         """Aim at another goal."""
         self._arrival = ArrivalDetector()
         self._progress.reset()
-        if self._searching is None:
+        if not self._compares_goals:
             self._reset_strategy()
 
     def prepare(self, settings: ControllerSettings) -> None:
@@ -456,6 +459,8 @@ class Controller:
         else:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
+        if active is not None and estimate is not None and self._enabled:
+            active = self._on_its_leg(time, active, estimate, before)
         goal = None if active is None else active.goal.nearest(state, time)
         if active is None or goal is None or not self._enabled:
             mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED
@@ -475,14 +480,10 @@ class Controller:
             is_new=before is None or plan is not before.plan,
         )
         settings = self._settings
-        away = relative_error(decision, settings)
-        if self._is_refused and decision.solved:
+        away = relative_error(decision.state, goal, settings)
+        if (self._is_refused and decision.solved) or (active and not active.is_last):
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
         reached = self._arrival.update(time, away, settings.period)
-        if reached and active is not None and not active.is_last:
-            self._course.advance()
-            self._aim()
-            return decision
         arrived = reached and found is Kind.TRACKING.alone
         if goal is None or arrived or not decision.solved:
             self._progress.reset()
@@ -494,6 +495,29 @@ class Controller:
             return decision
         # First, as one that stands does not roll with saturated rotors.
         return replace(decision, conditions=(missing, *found))
+
+    def _on_its_leg(
+        self, time: float, active: ActiveCourse, estimate: Estimate, before: InForce | None
+    ) -> ActiveCourse:
+        """Return the course with the leg that is followed from now on.
+
+        A goal with others after it is reached where the sphere is within the tolerance, or has
+        passed it since the last instant: where it is then is compared with what is planned.
+        """
+        state, settings, goal = estimate.state, self._settings, active.goal
+        while not (active.is_last or self._is_refused):
+            away = relative_error(state, goal.nearest(state, time), settings)
+            if not away < 1.0:
+                if before is None or not before.is_for(active.course, active.index):
+                    break
+                is_past = before.plan.end <= time and before.plan.status is PlanStatus.SOLVED
+                if not is_past or not relative_error(state, before.at(time)[POSE], settings) < 1.0:
+                    break
+            self._course.advance()
+            self._aim()
+            active = cast(ActiveCourse, self._course.at(time))
+            goal, before = active.goal, None
+        return active
 
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self._estimator
@@ -587,7 +611,8 @@ class Controller:
             strategy = prepared[1]
         else:
             strategy = make_strategy(self._settings, self._robot, self._worker)
-        searches = self._worker is not None and called(isinstance, strategy, SearchingStrategy)
+        self._compares_goals = called(isinstance, strategy, SearchingStrategy)
+        searches = self._worker is not None and self._compares_goals
         self._searching = cast(SearchingStrategy, strategy) if searches else None
         return strategy
 

@@ -1,10 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Plan in force with what it was made for: it stands while nothing is new."""
+"""Plan in force with what it was made for: it stands while nothing is new.
 
-from dataclasses import dataclass
+It is a chain: the plan of the leg that is followed, and that of the next leg from its end on.
+"""
+
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, state_error
 from sphere_nmpc.strategy.contract import Situation
@@ -25,12 +29,15 @@ class InForce:
         Limits of the drives that it keeps.
     rested : ndarray of shape (2,), or None
         Where the sphere has rested before it and those that it has taken the place of [m].
+    after : InForce or None
+        Plan of the next leg, which begins where this one ends; None while there is none.
     """
 
     plan: Plan
     situation: Situation
     robot: RobotParameters
     rested: Vector | None = None
+    after: "InForce | None" = None
 
     @cached_property
     def inputs(self) -> tuple[object, ...]:
@@ -43,6 +50,18 @@ class InForce:
     def is_certified(self) -> bool:
         """Whether the motion that is planned has been certified to keep clear."""
         return not self.situation.floor.is_empty and not self.plan.stops
+
+    def is_for(self, course: Course, leg: int) -> bool:
+        """Return whether it leads to the end of a leg of a course, wherever that is now."""
+        made_for = self.situation
+        return made_for.course.origin is course.origin and made_for.leg == leg
+
+    def on_leg(self, situation: Situation) -> "InForce":
+        """Return the plan of the leg that is followed: the next one's where that has begun."""
+        after = self.after
+        if after is None or not after.is_for(situation.course, situation.leg):
+            return self
+        return replace(after, plan=self.plan.continued(after.plan))
 
     def at(self, time: float) -> Vector:
         """Return the state that it predicts for a control time [s], shape (9,)."""

@@ -195,6 +195,14 @@ class Plan:
             self, hold=self.hold.followed_by(hold), states=np.vstack((self.states, states[1:]))
         )
 
+    def continued(self, later: "Plan") -> "Plan":
+        """Return one plan of this and of a later one, which begins where and when this one ends.
+
+        It ends at the leg of the later one.
+        """
+        both = self.spliced(later.hold, later.states)
+        return replace(later, hold=both.hold, states=both.states)
+
     def way_left(self, now: float) -> float:
         """Return the length of the way to the goal from `now` [s] on [m]; nan without a plan.
 

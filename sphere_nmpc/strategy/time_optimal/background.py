@@ -81,6 +81,8 @@ class SearchTask:
     rested : ndarray of shape (2,), or None
         Where the sphere has last rested [m], from which a part of the way has to lead on; None
         where it is now.
+    is_next : bool
+        Whether it is for the leg after the one that is followed, from the end of that.
     """
 
     robot: RobotParameters
@@ -93,6 +95,7 @@ class SearchTask:
     known: FirstOrderHold | None = None
     failed: int = 0
     rested: Vector | None = None
+    is_next: bool = False
 
     @property
     def solver(self) -> ArrivalSolver:
@@ -197,6 +200,8 @@ class BackgroundSearch:
         """Control time at which a search that is not urgent has begun [s]."""
         self.failed = 0
         """Searches in succession that have found nothing, in the present state."""
+        self.failed_ahead = 0
+        """The same of searches for the next leg."""
         self._has_failed = False
         self.no_way = ""
         """Why there is no way to the goal, as the last search has found; empty otherwise."""
@@ -232,6 +237,10 @@ class BackgroundSearch:
         """Forget the search under way and those that have failed."""
         self._task, self.failed = None, 0
 
+    def begin_leg(self) -> None:
+        """Count failed searches from the beginning of a leg on."""
+        self.failed = self.failed_ahead = 0
+
     def count_anew(self) -> None:
         """Count failed searches from the present sampling instant on, this one included."""
         self.failed = int(self._has_failed)
@@ -254,7 +263,8 @@ class BackgroundSearch:
     @property
     def is_awaited(self) -> bool:
         """Whether a search is under way for another plan than one that arrives earlier."""
-        return self._task is not None and self._task.known is None
+        task = self._task
+        return task is not None and task.known is None and not task.is_next
 
     def begins(self, now: float) -> float:
         """Return the control time at which the plan of a search that begins now starts [s]."""
@@ -283,6 +293,7 @@ class BackgroundSearch:
     def begin(
         self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector | None,
         from_rest: bool = False, known: FirstOrderHold | None = None, is_new: bool = True,
+        is_next: bool = False,
     ) -> None:
         """Begin a search; see `SearchTask`.
 
@@ -291,14 +302,15 @@ class BackgroundSearch:
         """
         worker, tuning = self._by, self._tuning
         # In motion the next search has another problem, which may be easier.
-        growth = tuning.growth(self.failed) if from_rest else 1.0
+        failed = self.failed_ahead if is_next else self.failed
+        growth = tuning.growth(failed) if from_rest else 1.0
         longest = growth * tuning.longest_search
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         task = SearchTask(
             solver.robot, tuning, start, next(self._seeds),
             round(growth * self._settings.planning_effort), longest, from_rest, known,
-            self.failed if is_new else 0, rested,
+            failed if is_new else 0, rested, is_next,
         )
         self._reply = worker.submit(task)
         self._task = None if self._reply.error else task
@@ -314,11 +326,11 @@ class BackgroundSearch:
         begins = task.from_rest or now >= task.situation.time - SHORTEST
         return self._reply.ready and begins
 
-    def take(self, now: float) -> InForce | None:
-        """Return the plan of a search that is complete if it begins at `now` [s].
+    def take(self, now: float) -> tuple[InForce, bool] | None:
+        """Return the plan of a search that is complete, and whether it is for the next leg.
 
-        None if there is none, or it has found nothing. A plan that should have begun before the
-        last sampling instant is none.
+        It begins at `now` [s], one for the next leg at any time. None if there is none, or it has
+        found nothing. A plan that should have begun before the last sampling instant is none.
         """
         self._has_failed = False
         if not self.is_due(now) or self._task is None:
@@ -331,9 +343,13 @@ class BackgroundSearch:
             return None
         found = self._reply.result
         if isinstance(found, Plan):
-            self.no_way, self._no_way_on = "", None
+            if not task.is_next:
+                self.no_way, self._no_way_on = "", None
             plan = found.delayed(now if task.from_rest else task.situation.time)
-            return InForce(plan, task.situation, task.robot, task.rested)
+            return InForce(plan, task.situation, task.robot, task.rested), task.is_next
+        if task.is_next:
+            self.failed_ahead += 1
+            return None
         self.no_way, self._no_way_on = found or "", task.situation.floor
         self._has_failed = not found
         self.failed += self._has_failed

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Following a plan: what is left of it is solved again from the measured state."""
 
+import operator
 import time
 from dataclasses import replace
 
@@ -9,7 +10,14 @@ import numpy as np
 
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import MOMENTUM, QUATERNION, Vector, nearer_sign
+from sphere_nmpc.model.state import (
+    MOMENTUM,
+    POSE,
+    QUATERNION,
+    Vector,
+    nearer_sign,
+    state_error,
+)
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce
@@ -29,11 +37,11 @@ def leads_to(followed: InForce, situation: Situation, settings: TimeOptimalSetti
     The change is that of where the goal will be when the plan arrives: the goal moves, or momentum
     changes the orientation that can be held. More than a little is none that a plan follows.
     """
-    made_for, leg, end = followed.situation, followed.plan.leg, followed.plan.end
-    if made_for.course.origin is not situation.course.origin or made_for.leg != situation.leg:
+    if not followed.is_for(situation.course, situation.leg):
         return False
+    leg, end = followed.plan.leg, followed.plan.end
     goal = situation.goal.at(end)
-    own = made_for.goal if leg.is_passed else leg.goal
+    own = followed.situation.goal if leg.is_passed else leg.goal
     return settings.is_near(own.nearest(goal, end), goal, situation.constants)
 
 
@@ -103,6 +111,42 @@ def momentum_at_arrival(followed: InForce, situation: Situation) -> Vector:
     if situation.is_out_of_balance:
         return plan.momentum  # what differs now is planned away
     return situation.momentum + (plan.momentum - followed.at(situation.time)[MOMENTUM])
+
+
+def at_its_end(followed: InForce, situation: Situation) -> Situation:
+    """Return the situation in which the next leg begins, as a plan predicts it."""
+    plan = followed.plan
+    return replace(
+        situation, time=plan.end, state=plan.states[-1].copy(), leg=situation.leg + 1,
+        in_force=FirstOrderHold.constant(plan.end, plan.hold.speeds[-1]),
+    )
+
+
+def next_leg(
+    followed: InForce, situation: Situation, solver: ArrivalSolver, dead_band: float,
+    deadline: float,
+) -> InForce | None:
+    """Return the plan of the next leg from the end of the one that is followed; None without one.
+
+    It is solved again where that end or the plant is another one than it was made for. Parameters
+    are those of `solved_again`.
+    """
+    after = followed.after
+    if after is None or not after.is_for(situation.course, situation.leg + 1):
+        return None
+    start, made_for = at_its_end(followed, situation), after.situation
+    start = start.nearest_to(after.plan.leg.goal.pose)
+    plan = after.plan.delayed(start.time - after.plan.hold.start)
+    after = replace(after, plan=plan)
+    known = made_for.plant, made_for.disturbance, made_for.floor
+    is_same = all(map(operator.is_, known, (start.plant, start.disturbance, start.floor)))
+    off = state_error(start.state, plan.states[0, POSE])
+    if not is_same or off > solver.settings.arrival_error:
+        after = solved_again(after, start, solver, dead_band, deadline, is_aimed=True)
+    if after is None or after.plan.status is not PlanStatus.SOLVED:
+        return None
+    whole = followed.plan.continued(after.plan)
+    return after if is_clear(situation, whole.hold, Margin.KEPT) else None
 
 
 def held_at_its_end(plan: Plan, situation: Situation, max_speed: float) -> Plan:

@@ -29,7 +29,13 @@ from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.rest import stop
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later, solver_for
-from sphere_nmpc.strategy.time_optimal.following import leads_to, left_of, solved_again
+from sphere_nmpc.strategy.time_optimal.following import (
+    at_its_end,
+    leads_to,
+    left_of,
+    next_leg,
+    solved_again,
+)
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _LEAST_GAIN = 5e-3
@@ -88,6 +94,7 @@ class Machine:
         """Forget plans and searches."""
         self.state: State = Searching()
         """The state at the last sampling instant."""
+        self._found_next: InForce | None = None
         self.search.reset()
 
     def forget_goal(self) -> None:
@@ -103,6 +110,15 @@ class Machine:
         self.search.use_attained(acceleration)
         if isinstance(state, InForce) and state.robot is before is not self.search.solver.robot:
             self.state = replace(state, robot=self.search.solver.robot)
+
+    def enter_leg(self, situation: Situation) -> State:
+        """Follow the plan of the next leg where that is the one of the situation now."""
+        before = self.state
+        if isinstance(before, InForce):
+            self.state = before.on_leg(situation)
+            if self.state is not before:
+                self.search.begin_leg()
+        return self.state
 
     def advance(self, situation: Situation, deadline: float) -> State:
         """Put the next state in force and return it; a search in line stops at `deadline` [s]."""
@@ -122,7 +138,8 @@ class Machine:
             )
             followed = self._better(kept, found, situation)
             if followed is not None:
-                return self._improved(followed, situation, dead_band, deadline)
+                followed = self._improved(followed, situation, dead_band, deadline)
+                return self._with_next(followed, situation, dead_band, deadline)
         limit = self._robot.max_rotor_speed
         if is_saturated(situation.momentum, goal[QUATERNION], limit):
             return Saturated()
@@ -160,7 +177,7 @@ class Machine:
         if found is None or (kept is not None and not self._replaces(found, kept, situation)):
             return kept
         self.search.failed = 0
-        return found
+        return found if kept is None else replace(found, after=kept.after)
 
     def _replaces(self, found: InForce, kept: InForce, situation: Situation) -> bool:
         """Return whether a plan that was found is followed instead of the one in force."""
@@ -175,10 +192,55 @@ class Machine:
         self, situation: Situation, dead_band: float, deadline: float
     ) -> InForce | None:
         """Return the plan of a search whose plan begins now, solved from the present state."""
-        found = self.search.take(situation.time)
-        if found is None:
+        taken = self.search.take(situation.time)
+        if taken is None:
+            return None
+        found, is_next = taken
+        if is_next:
+            self._found_next = found
             return None
         return solved_again(found, situation, self._solver_of(found), dead_band, deadline)
+
+    def _with_next(
+        self, followed: InForce, situation: Situation, dead_band: float, deadline: float
+    ) -> InForce:
+        """Return a plan with that of the next leg: a found one where it is the shorter one."""
+        found, self._found_next = self._found_next, None
+        if found is None and followed.after is None:
+            return followed
+        plans = list[InForce]()
+        if self._ends_leg(followed, situation):
+            for one in filter(None, (followed.after, found)):
+                solver = self._solver_of(one)
+                after = next_leg(
+                    replace(followed, after=one), situation, solver, dead_band, deadline
+                )
+                plans += [] if after is None else [after]
+        shortest = min(plans, key=lambda one: one.plan.duration, default=None)
+        return replace(followed, after=shortest)
+
+    def _ends_leg(self, followed: InForce, situation: Situation) -> bool:
+        """Return whether a plan ends at the goal, with another leg after it."""
+        plan, is_last = followed.plan, situation.leg == len(situation.course.legs) - 1
+        if is_last or plan.leg.is_passed or not _reaches(followed):
+            return False
+        return self._leads_to(followed, situation)
+
+    def _begin_next(self, followed: InForce, situation: Situation, deadline: float) -> None:
+        """Begin a search for the next leg, or for a shorter plan of it."""
+        search, after, start = self.search, followed.after, at_its_end(followed, situation)
+        if after is None:
+            solver, known = search.solver_from(situation), None
+            start = start.nearest_to(start.state)
+        else:
+            solver = self._solver_of(after)
+            start = start.aimed_at(start.aim(after.plan.leg.goal.pose))
+            known = left_of(after.plan, start.time, solver.grid)
+        search.improved_at = situation.time
+        search.begin(
+            start, solver, deadline, start.state[POSITION], from_rest=True, known=known,
+            is_next=True,
+        )
 
     def _search(self, situation: Situation, at_rest: bool, deadline: float) -> None:
         """Begin a search where there is no plan."""
@@ -195,6 +257,10 @@ class Machine:
         """Begin a search for a better plan, once a sample period; return the best one so far."""
         search, now, plan = self.search, situation.time, followed.plan
         if search.is_busy:
+            return followed
+        if self._lacks_next(followed, situation):
+            self._begin_next(followed, situation, deadline)
+            self._found(situation, dead_band, deadline)
             return followed
         suits = _reaches(followed) and self._leads_to(followed, situation)
         anew = plan.leg.is_passed or not suits
@@ -213,6 +279,20 @@ class Machine:
         found = self._found(situation, dead_band, deadline)
         return self._better(followed, found, situation) or followed
 
+    def _lacks_next(self, followed: InForce, situation: Situation) -> bool:
+        """Return whether a plan of the next leg is to be searched for, or a shorter one.
+
+        The latter only once no earlier arrival is searched for.
+        """
+        search, now = self.search, situation.time
+        if search.failed_ahead >= self._tuning.failed_searches or not self._ends_leg(
+            followed, situation
+        ):
+            return False
+        if followed.after is None:
+            return self._found_next is None
+        return now > search.next_at and self._is_improved(followed, now)
+
     def _is_improved(self, followed: InForce, now: float) -> bool:
         """Return whether no earlier arrival is searched for any more."""
         left = followed.plan.end - self.search.begins(now)
@@ -229,10 +309,12 @@ class Machine:
             return -math.inf if situation.goal.rate.any() else until
         if not isinstance(state, InForce) or not _reaches(state):
             return -math.inf
-        if not self.search.is_busy and not self._is_improved(state, now):
-            if state.plan.leg.is_passed:
+        if not self.search.is_busy:
+            is_passed, lacks_next = state.plan.leg.is_passed, self._lacks_next(state, situation)
+            if is_passed or (lacks_next and state.after is None):
                 return -math.inf
-            until = self.search.next_at
+            if lacks_next or not self._is_improved(state, now):
+                until = self.search.next_at
         return min(until, state.plan.end)
 
 

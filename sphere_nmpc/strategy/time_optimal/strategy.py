@@ -103,7 +103,7 @@ class TimeOptimalStrategy:
             machine.forget_goal()
         self._aimed = aimed
         machine.use_attained(situation.plant.acceleration)
-        before, end = machine.state, None
+        before, end = machine.enter_leg(situation), None
         if isinstance(before, InForce):
             situation = situation.nearest_to(before.plan.leg.goal.pose)
             end = partial(momentum_at_arrival, before)
@@ -133,9 +133,10 @@ class TimeOptimalStrategy:
         if isinstance(state, Holding):
             return self._at_rest.plan(situation)
         if isinstance(state, InForce):
-            own = state.plan
+            own, after = state.plan, state.after
+            rest = held_at_its_end((after or state).plan, situation, robot.max_rotor_speed)
             return replace(
-                held_at_its_end(own, situation, robot.max_rotor_speed),
+                rest if after is None else own.spliced(rest.hold, rest.states),
                 conditions=(Condition(Kind.PLANNED, f"a motion of {own.duration:.2f} s"),),
                 made=replace(own.made, cost=own.error**2),
             )

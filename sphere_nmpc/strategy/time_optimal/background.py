@@ -343,7 +343,9 @@ class BackgroundSearch:
             return None
         found = self._reply.result
         if isinstance(found, Plan):
-            if not task.is_next:
+            if task.is_next:
+                self.failed_ahead = 0
+            else:
                 self.no_way, self._no_way_on = "", None
             plan = found.delayed(now if task.from_rest else task.situation.time)
             return InForce(plan, task.situation, task.robot, task.rested), task.is_next

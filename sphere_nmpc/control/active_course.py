@@ -3,6 +3,7 @@
 """Course in force: where goals come in, it is decided once whether they are the same."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.model.course import Course, Leg
@@ -27,17 +28,17 @@ class ActiveCourse:
     stamp: int = 0
     index: int = 0
 
-    @property
+    @cached_property
     def leg(self) -> Leg:
         """The leg that is followed."""
         return self.course.legs[self.index]
 
-    @property
+    @cached_property
     def goal(self) -> Goal:
         """The goal that is aimed at."""
         return self.leg.goal
 
-    @property
+    @cached_property
     def is_last(self) -> bool:
         """Whether no other leg follows."""
         return self.index == len(self.course.legs) - 1

@@ -42,11 +42,6 @@ class Leg:
     time_left: float = 0.0
     way_left: float = 0.0
 
-    @property
-    def is_passed(self) -> bool:
-        """Whether its goal is a place on the way to that of another leg."""
-        return self.end is End.THROUGH
-
 
 @dataclass(frozen=True, eq=False)
 class Course:

@@ -25,7 +25,7 @@ def moved(pose: Vector, rate: Vector, elapsed: float) -> Vector:
 
     The rate is that of an error of `sphere_nmpc.model.error_state` [m/s; world, rad/s; body].
     """
-    return pose if rate is STANDING or not rate.any() else apply_error(pose, elapsed * rate)
+    return apply_error(pose, elapsed * rate) if rate.any() else pose
 
 
 class Orientation(Enum):
@@ -134,6 +134,8 @@ class Goal:
 
     def at(self, time: float) -> Vector:
         """Return the pose at a control time [s], shape (6,)."""
+        if self.rate is STANDING:  # as at nearly every sample
+            return self.pose
         return moved(self.pose, self.rate, time - self.since)
 
     def now(self, time: float) -> "Goal":

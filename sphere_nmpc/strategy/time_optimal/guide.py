@@ -75,7 +75,7 @@ class Aim(NamedTuple):
     @property
     def is_local(self) -> bool:
         """Whether the goal is a local one."""
-        return self.situation.course.legs[self.situation.leg].is_passed
+        return self.situation.course.legs[self.situation.leg].end is End.THROUGH
 
 
 class Guidance(NamedTuple):

@@ -19,6 +19,7 @@ other                                                             Searching
 import math
 from dataclasses import dataclass, replace
 
+from sphere_nmpc.model.course import End
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
@@ -138,7 +139,9 @@ class Machine:
             )
             followed = self._better(kept, found, situation)
             if followed is not None:
-                followed = self._improved(followed, situation, dead_band, deadline)
+                leads = (ended and followed is kept) or self._leads_to(followed, situation)
+                suits = leads and _reaches(followed)
+                followed = self._improved(followed, situation, dead_band, deadline, suits)
                 return self._with_next(followed, situation, dead_band, deadline)
         limit = self._robot.max_rotor_speed
         if is_saturated(situation.momentum, goal[QUATERNION], limit):
@@ -209,7 +212,7 @@ class Machine:
         if found is None and followed.after is None:
             return followed
         plans = list[InForce]()
-        if self._ends_leg(followed, situation):
+        if _ends_leg(followed, situation) and self._leads_to(followed, situation):
             for one in filter(None, (followed.after, found)):
                 solver = self._solver_of(one)
                 after = next_leg(
@@ -218,13 +221,6 @@ class Machine:
                 plans += [] if after is None else [after]
         shortest = min(plans, key=lambda one: one.plan.duration, default=None)
         return replace(followed, after=shortest)
-
-    def _ends_leg(self, followed: InForce, situation: Situation) -> bool:
-        """Return whether a plan ends at the goal, with another leg after it."""
-        plan, is_last = followed.plan, situation.leg == len(situation.course.legs) - 1
-        if is_last or plan.leg.is_passed or not _reaches(followed):
-            return False
-        return self._leads_to(followed, situation)
 
     def _begin_next(self, followed: InForce, situation: Situation, deadline: float) -> None:
         """Begin a search for the next leg, or for a shorter plan of it."""
@@ -252,18 +248,21 @@ class Machine:
         self.search.begin(start, solver, deadline, place, from_rest=at_rest)
 
     def _improved(
-        self, followed: InForce, situation: Situation, dead_band: float, deadline: float
+        self, followed: InForce, situation: Situation, dead_band: float, deadline: float,
+        suits: bool,
     ) -> InForce:
-        """Begin a search for a better plan, once a sample period; return the best one so far."""
+        """Begin a search for a better plan, once a sample period; return the best one so far.
+
+        One `suits` that ends at the goal, or on the way there.
+        """
         search, now, plan = self.search, situation.time, followed.plan
         if search.is_busy:
             return followed
-        if self._lacks_next(followed, situation):
+        if suits and self._lacks_next(followed, situation):
             self._begin_next(followed, situation, deadline)
             self._found(situation, dead_band, deadline)
             return followed
-        suits = _reaches(followed) and self._leads_to(followed, situation)
-        anew = plan.leg.is_passed or not suits
+        anew = not suits or plan.leg.end is End.THROUGH
         if not anew and (now <= search.next_at or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None
@@ -273,7 +272,7 @@ class Machine:
             start, known = start.aimed_at(start.aim(pose)), left_of(plan, start.time, solver.grid)
         rested = followed.rested if suits else None
         search.improved_at = now
-        search.begin(start, solver, deadline, rested, known=known, is_new=plan.leg.is_passed)
+        search.begin(start, solver, deadline, rested, known=known, is_new=plan.leg.end is End.THROUGH)
         if search.ahead:
             return followed
         found = self._found(situation, dead_band, deadline)
@@ -285,9 +284,9 @@ class Machine:
         The latter only once no earlier arrival is searched for.
         """
         search, now = self.search, situation.time
-        if search.failed_ahead >= self._tuning.failed_searches or not self._ends_leg(
-            followed, situation
-        ):
+        if not _ends_leg(followed, situation):
+            return False
+        if search.failed_ahead >= self._tuning.failed_searches:
             return False
         if followed.after is None:
             return self._found_next is None
@@ -296,7 +295,7 @@ class Machine:
     def _is_improved(self, followed: InForce, now: float) -> bool:
         """Return whether no earlier arrival is searched for any more."""
         left = followed.plan.end - self.search.begins(now)
-        return not followed.plan.leg.is_passed and (
+        return followed.plan.leg.end is End.REST and (
             self.search.failed >= self._tuning.failed_searches
             or left < 2.0 * self._solver_of(followed).grid.spacing
         )
@@ -310,12 +309,19 @@ class Machine:
         if not isinstance(state, InForce) or not _reaches(state):
             return -math.inf
         if not self.search.is_busy:
-            is_passed, lacks_next = state.plan.leg.is_passed, self._lacks_next(state, situation)
-            if is_passed or (lacks_next and state.after is None):
+            lacks_next = self._lacks_next(state, situation)
+            if state.plan.leg.end is End.THROUGH or (lacks_next and state.after is None):
                 return -math.inf
             if lacks_next or not self._is_improved(state, now):
                 until = self.search.next_at
         return min(until, state.plan.end)
+
+
+def _ends_leg(followed: InForce, situation: Situation) -> bool:
+    """Return whether a plan ends at a goal with another leg after it."""
+    if situation.leg == len(situation.course.legs) - 1:
+        return False
+    return followed.plan.leg.end is End.REST and _reaches(followed)
 
 
 def _reaches(followed: InForce) -> bool:

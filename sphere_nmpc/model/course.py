@@ -11,7 +11,7 @@ from enum import Enum
 from sphere_nmpc.model.goal import Goal
 
 
-class End(Enum):
+class LegEnd(Enum):
     """How a leg ends at its goal."""
 
     REST = "rest"
@@ -29,7 +29,7 @@ class Leg:
     goal : Goal
         Set of goals, of which one member is to be reached. Of a plan it is that member, as it is
         at the arrival.
-    end : End
+    end : LegEnd
         How it ends.
     time_left : float
         Time from its end to that of the leg that it is put in front of [s].
@@ -38,7 +38,7 @@ class Leg:
     """
 
     goal: Goal
-    end: End = End.REST
+    end: LegEnd = LegEnd.REST
     time_left: float = 0.0
     way_left: float = 0.0
 

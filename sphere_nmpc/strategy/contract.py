@@ -20,7 +20,7 @@ from sphere_nmpc.errors import (
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.foreign_code import called
 from sphere_nmpc.foreign_text import printable_line, shown
-from sphere_nmpc.model.course import Course, End, Leg
+from sphere_nmpc.model.course import Course, Leg, LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import place_deviation, state_deviation
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
@@ -47,7 +47,7 @@ _FIELDS: dict[type, dict[str, Any]] = {
         "status": PlanStatus, "hold": FirstOrderHold, "leg": Leg, "error": Real, "until": Real,
         "tolerance": Real, "conditions": tuple, "made": Made,
     },
-    Leg: {"goal": Goal, "end": End, "time_left": Real, "way_left": Real},
+    Leg: {"goal": Goal, "end": LegEnd, "time_left": Real, "way_left": Real},
     Goal: {"since": Real},
     Condition: {"kind": Kind, "text": str, "subject": str},
     Made: dict.fromkeys(("cost", "kkt_residual", "solve_time"), Real)

@@ -31,6 +31,7 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.solver.problem import (
+    End,
     LeastSquaresProblem,
     MinimumTimeProblem,
     Problem,
@@ -42,7 +43,6 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
-from sphere_nmpc.strategy.rest import speeds_of_rest
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
@@ -111,15 +111,11 @@ class ArrivalSolver:
         durations, knots = np.diff(guess.times), guess.speeds[1:]
         if not aware and not is_zero(situation.momentum, situation.disturbance):
             knots = knots + self._compensation(situation, durations, knots)
-        duration = guess.end - guess.start
-        momentum = after_slope(situation.momentum, situation.disturbance, duration)
-        rest = speeds_of_rest(momentum, goal.pose[QUATERNION], self._max_speed)
         orientation = _demanded(situation, goal)
         problem = self._problem(
             LeastSquaresProblem, situation, goal.at(guess.end), orientation, durations,
-            self.grid.spacing, input_weight=_REGULARISATION,
+            self.grid.spacing, end=End.REST, input_weight=_REGULARISATION,
         )
-        problem.lower[-1] = problem.upper[-1] = rest
         solution = solve(problem, knots, self._trial)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
         error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
@@ -169,9 +165,7 @@ class ArrivalSolver:
             goal_velocity=goal.rate[POSITION],
             error_weight=factor * tuning.error_weight * self.grid.unit,
         )
-        if is_zero(situation.momentum, situation.disturbance):
-            problem.lower[-1] = problem.upper[-1] = 0.0
-        elif situation.is_out_of_balance and not situation.uncertainty > 0.0:
+        if situation.is_out_of_balance and not situation.uncertainty > 0.0:
             # Where poses are noisy the estimate of this component changes from sample to sample
             # by more than a plan can follow, and it is left to the tilt at rest.
             body_z = rotation.matrix(there[QUATERNION])[:, 2]

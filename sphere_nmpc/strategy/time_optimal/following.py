@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.course import End
+from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import (
@@ -42,7 +42,7 @@ def leads_to(followed: InForce, situation: Situation, settings: TimeOptimalSetti
         return False
     leg, end = followed.plan.leg, followed.plan.end
     goal = situation.goal.at(end)
-    own = leg.goal if leg.end is End.REST else followed.situation.goal
+    own = leg.goal if leg.end is LegEnd.REST else followed.situation.goal
     return settings.is_near(own.nearest(goal, end), goal, situation.constants)
 
 
@@ -77,7 +77,7 @@ def solved_again(
         return None
     hold = rest = left_of(before, now, solver.grid)
     goal = before.leg.goal
-    if is_aimed and before.leg.end is End.REST:
+    if is_aimed and before.leg.end is LegEnd.REST:
         goal = situation.aim(nearer_sign(situation.goal.pose, goal.pose))
     # With noise an error is left where it would take a manoeuvre to correct it.
     noisy = settings.noisy_share * (dead_band - settings.least_dead_band)

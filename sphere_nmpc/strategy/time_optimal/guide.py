@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.floor.route import Route, StraightRoute, in_sight, route_to
-from sphere_nmpc.model.course import End, Leg
+from sphere_nmpc.model.course import Leg, LegEnd
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_momentum
@@ -75,7 +75,7 @@ class Aim(NamedTuple):
     @property
     def is_local(self) -> bool:
         """Whether the goal is a local one."""
-        return self.situation.course.legs[self.situation.leg].end is End.THROUGH
+        return self.situation.course.legs[self.situation.leg].end is LegEnd.THROUGH
 
 
 class Guidance(NamedTuple):
@@ -168,7 +168,7 @@ class Guide:
     def _aim_at(self, place: Vector, detour: float = 0.0) -> Aim:
         situation = self._situation
         pose = np.concatenate((place, situation.goal.pose[QUATERNION]))
-        leg = Leg(Goal(pose, Orientation.ANY, since=situation.time), End.THROUGH)
+        leg = Leg(Goal(pose, Orientation.ANY, since=situation.time), LegEnd.THROUGH)
         course = situation.course.by_way_of(situation.leg, leg)
         return Aim(replace(situation, course=course), detour)
 
@@ -194,7 +194,8 @@ class Guide:
         rolling = SteadyRolling.of(self._situation.constants, limit)
         way = self.route.length(_end_of(plan))
         time = way / rolling.speed + 0.5 * rolling.turn_time
-        return replace(plan, leg=replace(plan.leg, end=End.THROUGH, time_left=time, way_left=way))
+        leg = replace(plan.leg, end=LegEnd.THROUGH, time_left=time, way_left=way)
+        return replace(plan, leg=leg)
 
     def line_on(self) -> Plan | None:
         """Return the fastest of the straight lines that lead on to the goal, from rest to rest.

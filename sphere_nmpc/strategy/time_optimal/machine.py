@@ -19,7 +19,7 @@ other                                                             Searching
 import math
 from dataclasses import dataclass, replace
 
-from sphere_nmpc.model.course import End
+from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
@@ -262,7 +262,7 @@ class Machine:
             self._begin_next(followed, situation, deadline)
             self._found(situation, dead_band, deadline)
             return followed
-        anew = not suits or plan.leg.end is End.THROUGH
+        anew = not suits or plan.leg.end is LegEnd.THROUGH
         if not anew and (now <= search.next_at or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None
@@ -272,7 +272,8 @@ class Machine:
             start, known = start.aimed_at(start.aim(pose)), left_of(plan, start.time, solver.grid)
         rested = followed.rested if suits else None
         search.improved_at = now
-        search.begin(start, solver, deadline, rested, known=known, is_new=plan.leg.end is End.THROUGH)
+        is_passed = plan.leg.end is LegEnd.THROUGH
+        search.begin(start, solver, deadline, rested, known=known, is_new=is_passed)
         if search.ahead:
             return followed
         found = self._found(situation, dead_band, deadline)
@@ -295,7 +296,7 @@ class Machine:
     def _is_improved(self, followed: InForce, now: float) -> bool:
         """Return whether no earlier arrival is searched for any more."""
         left = followed.plan.end - self.search.begins(now)
-        return followed.plan.leg.end is End.REST and (
+        return followed.plan.leg.end is LegEnd.REST and (
             self.search.failed >= self._tuning.failed_searches
             or left < 2.0 * self._solver_of(followed).grid.spacing
         )
@@ -310,7 +311,7 @@ class Machine:
             return -math.inf
         if not self.search.is_busy:
             lacks_next = self._lacks_next(state, situation)
-            if state.plan.leg.end is End.THROUGH or (lacks_next and state.after is None):
+            if state.plan.leg.end is LegEnd.THROUGH or (lacks_next and state.after is None):
                 return -math.inf
             if lacks_next or not self._is_improved(state, now):
                 until = self.search.next_at
@@ -321,7 +322,7 @@ def _ends_leg(followed: InForce, situation: Situation) -> bool:
     """Return whether a plan ends at a goal with another leg after it."""
     if situation.leg == len(situation.course.legs) - 1:
         return False
-    return followed.plan.leg.end is End.REST and _reaches(followed)
+    return followed.plan.leg.end is LegEnd.REST and _reaches(followed)
 
 
 def _reaches(followed: InForce) -> bool:

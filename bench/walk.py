@@ -20,7 +20,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from statistics import median
 from types import FrameType
@@ -79,13 +79,9 @@ _START, _GOAL = PAPER_CASES[1].start, PAPER_CASES[1].goal
 
 @dataclass
 class Walk:
-    """Calls and records of one instant, and the time that it took [thousands of operations].
-
-    Calls of the controller are `inner`, where a node is walked: how it plans depends on the load.
-    """
+    """Calls and records of one instant, and the time that it took [thousands of operations]."""
 
     calls: list[tuple[str, str]] = field(default_factory=list)
-    inner: list[tuple[str, str]] = field(default_factory=list)
     records: set[str] = field(default_factory=set)
     time: float = 0.0
 
@@ -93,10 +89,6 @@ class Walk:
         """Return the numbers of calls, functions, files and kinds of records."""
         calls, files = self.calls, {file for file, _ in self.calls}
         return [len(calls), len(set(calls)), len(files), len(self.records)]
-
-    def all(self) -> list[tuple[str, str]]:
-        """Return all calls."""
-        return self.calls + self.inner
 
 
 class Meter:
@@ -108,31 +100,26 @@ class Meter:
     def __init__(self, counts: bool) -> None:
         self._counts = counts
         self._now = Walk()
-        self._main = threading.get_ident()
         self._cut_at: float | None = None
-        self._cuts = self._is_inner = False
+        self._cuts = False
+        self._makers: set[FrameType] = set()
         self.decision: Any = None
         """The newest decision in the present walk."""
         self.walks: dict[str, list[Walk]] = defaultdict(list)
         self._unit = _operations()
 
     def of(self, controller: Controller) -> None:
-        """Keep what the controller of a node does apart, and take note of its decisions."""
-        def apart(function: Callable[..., Any]) -> Callable[..., Any]:
-            def call(*arguments: Any) -> Any:
-                self._is_inner = True
-                result = function(*arguments)
-                self._is_inner = False
-                if isinstance(result, Decision):
-                    self.decision = result
-                    if self._cuts:
-                        sys.setprofile(None)
-                        self._cut_at = time.perf_counter()
-                return result
-            return call
+        """Take note of the decisions of a node's controller."""
+        decide = controller.decide
 
-        for name in ("observe", "decide", "commit"):
-            setattr(controller, name, apart(getattr(controller, name)))
+        def noted(*arguments: Any) -> Decision:
+            self.decision = decide(*arguments)
+            if self._cuts:
+                sys.setprofile(None)
+                self._cut_at = time.perf_counter()
+            return self.decision
+
+        controller.decide = noted  # type: ignore[method-assign]
 
     def run(self, function: Callable[..., Any], *arguments: Any, cuts: bool = False) -> Any:
         """Call a function as part of the present walk, which ends at a decision with `cuts`."""
@@ -140,6 +127,7 @@ class Meter:
         if self._counts:
             threading.setprofile(self._record)
             sys.setprofile(self._record)
+        self._makers.clear()
         began = time.perf_counter()
         try:
             return function(*arguments)
@@ -177,20 +165,28 @@ class Meter:
         self._now.records |= other._now.records
         self._now.time += other._now.time
 
-    def _record(self, frame: FrameType, event: str, _: object) -> None:
-        if event != "call":
-            return
-        file, name = frame.f_code.co_filename, frame.f_code.co_name
-        if file.startswith(_ROOT):
-            if name not in _INLINED:
-                is_inner = self._is_inner and threading.get_ident() == self._main
-                calls = self._now.inner if is_inner else self._now.calls
-                name = getattr(frame.f_code, "co_qualname", name)  # from Python 3.11 on
-                calls.append((file[len(_ROOT):], name))
-        elif file.startswith("<string>"):
-            made = frame.f_locals.get("_cls") or type(frame.f_locals.get("self"))
-            if made.__module__.startswith("sphere_nmpc") and not self._is_inner:
-                self._now.records.add(made.__name__)
+    def _record(self, frame: FrameType, event: str, argument: Any) -> None:
+        """Count a call, and what a function makes: by `__init__`, or by `__new__` and returned."""
+        code = frame.f_code
+        if event == "call":
+            if code.co_filename.startswith(_ROOT) and code.co_name not in _INLINED:
+                name = getattr(code, "co_qualname", code.co_name)  # from Python 3.11 on
+                self._now.calls.append((code.co_filename[len(_ROOT):], name))
+            if code.co_name == "__init__":
+                self._made(frame.f_locals.get(code.co_varnames[0]))
+        elif event == "c_call":
+            if getattr(argument, "__name__", "") == "__new__":
+                self._makers.add(frame)
+        elif event == "return" and frame in self._makers:
+            self._makers.remove(frame)
+            self._made(argument)
+
+    def _made(self, value: Any) -> None:
+        """Count a value if it is a record of the package."""
+        made = type(value)
+        is_record = is_dataclass(made) or (issubclass(made, tuple) and hasattr(made, "_fields"))
+        if is_record and made.__module__.startswith(sphere_nmpc.__name__):
+            self._now.records.add(made.__name__)
 
 
 def _operations() -> float:
@@ -364,18 +360,17 @@ def medians(walks: dict[str, list[Walk]]) -> dict[str, list[int]]:
     return {kind: np.median(some, axis=0).astype(int).tolist() for kind, some in counts.items()}
 
 
-def table(found: dict[str, Any], limits: dict[str, Any], walks: Any, times: Any) -> list[str]:
+def table(found: dict[str, Any], limits: dict[str, Any], times: Any) -> list[str]:
     """Return the rows of the table, with the committed count where it is exceeded."""
-    head = ["", *COUNTS, "calls with the controller's", "1000 operations"]
+    head = ["", *COUNTS, "1000 operations"]
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for place, kinds in found.items():
         for kind, counts in kinds.items():
             most = limits.get(place, {}).get(kind, counts)
             cells = [str(n) if n <= limit else f"{n} > {limit}"
                      for n, limit in zip(counts, most, strict=True)]
-            total = median(len(walk.all()) for walk in walks[place][kind])
             timed = [walk.time for walk in times.get(place, {}).get(kind, [])]
-            cells += [f"{total:.0f}", f"{median(timed):.2f}" if timed else ""]
+            cells.append(f"{median(timed):.2f}" if timed else "")
             lines.append(f"| {place}: {kind} | {' | '.join(cells)} |")
     return lines
 
@@ -400,7 +395,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.profile:
         for place, kinds in walks.items():
             for kind in (kind for kind in kinds if kind.startswith(options.profile)):
-                calls = Counter(call for walk in kinds[kind] for call in walk.all())
+                calls = Counter(call for walk in kinds[kind] for call in walk.calls)
                 print(f"\n{place}: {kind}, calls an instant in the mean")
                 for (file, name), number in calls.most_common():
                     print(f"{number / len(kinds[kind]):8.2f} {file}: {name}")
@@ -408,7 +403,7 @@ def main(arguments: list[str] | None = None) -> int:
     times = {} if options.counts else {place: way(False) for place, way in ways.items()}
     found = {place: medians(kinds) for place, kinds in walks.items()}
     limits = found if options.update else json.loads(COMMITTED.read_text())
-    print("\n".join(table(found, limits, walks, times)))
+    print("\n".join(table(found, limits, times)))
     if options.update:
         places = (
             f' "{place}": {{\n' + ",\n".join(

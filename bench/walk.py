@@ -11,6 +11,7 @@ NumPy arrays. The exit status is 1 where a count exceeds that of walk.json.
 
 import argparse
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -25,6 +26,7 @@ from pathlib import Path
 from statistics import median, median_low
 from types import FrameType
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import rclpy
@@ -76,6 +78,10 @@ _DURATION = 7.0
 """Time of the closed loop [s], which arrives in it."""
 _LATE = 3
 """Instants that a worker takes for a task in the loop without ROS."""
+_AWAITED = 0.05
+"""How long time waits for the controller's tick [s]."""
+_READING = 2e-4
+"""Time between two readings of the clock of durations [s], where calls are counted."""
 _GOALS, _KNOWN_GOALS, _MAPS = 5, 9, 3
 _BETWEEN = 0.15
 """Wall time between two known goals [s]: each is told."""
@@ -282,13 +288,13 @@ class NodeWalk:
         self._node._fault_log._period = math.inf
         self._controller = self._node.controller
         self._floor = self._controller.floor
-        self._goals = 0
+        self._goals = self._ticks = 0
         self.meter.of(self._controller)
         record, meter = self._record, self.meter
         for timer in self._node.timers:
             is_clocked = timer.clock.clock_type == ClockType.ROS_TIME
             if is_clocked and timer.timer_period_ns == round(1e9 * _PERIOD):
-                record(timer, meter, meter.end_tick)
+                record(timer, meter, self._end_tick)
             elif timer.callback.__name__ == "_look":
                 record(timer, self._looks, self._end_look)
         topics = {one.topic_name: one for one in self._node.subscriptions}
@@ -339,6 +345,10 @@ class NodeWalk:
 
         endpoint.callback = call
 
+    def _end_tick(self) -> None:
+        self.meter.end_tick()
+        self._ticks += 1
+
     def _end_goal(self) -> None:
         """End the walk of a goal; without a decision it is a known one."""
         self.meter.end(KNOWN if self.meter.decision is None else GOAL)
@@ -366,10 +376,21 @@ class NodeWalk:
         while not condition():
             if time.monotonic() > end:
                 raise RuntimeError(f"timed out after {PATIENCE:g} s")
-            controller, simulator = self._executors
-            self._simulator.work(simulator)
-            for _ in range(8):  # several callbacks an instant
-                controller.spin_once(timeout_sec=0.0)
+            ticks = self._ticks
+            self._simulator.work(self)  # type: ignore[arg-type]
+            ticked = time.monotonic() + _AWAITED
+            while self._ticks == ticks and time.monotonic() < ticked:
+                self.spin_once(1e-3)
+
+    def spin_once(self, timeout_sec: float) -> None:
+        """Call what is due in both nodes, as an executor of the simulator."""
+        end = time.monotonic() + timeout_sec
+        while True:
+            for executor in self._executors:
+                executor.spin_once(timeout_sec=0.0)
+            if time.monotonic() >= end:
+                break
+            time.sleep(2e-4)
 
 
 def _parameters(**values: Any) -> list[Parameter]:
@@ -433,12 +454,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--counts", action="store_true", help="take no times")
     parser.add_argument("--profile", metavar="KIND", help="list functions by number of calls")
     options = parser.parse_args(arguments)
-    ways = {
+    ways: dict[str, Callable[[bool], dict[str, list[Walk]]]] = {
         "loop": walk_loop,  # first, as what is made once for each size is made here
         "with a worker": lambda counts: walk_loop(counts, LateWorker()),
         "node": walk_nodes,
     }
-    walks: dict[str, dict[str, list[Walk]]] = {place: way(True) for place, way in ways.items()}
+    readings = itertools.count()
+    with mock.patch("time.perf_counter", lambda: _READING * next(readings)):
+        walks = {place: way(True) for place, way in ways.items()}
     if options.profile:
         for place, kinds in walks.items():
             for kind in (kind for kind in kinds if kind.startswith(options.profile)):

@@ -79,10 +79,10 @@ _DURATION = 7.0
 _LATE = 3
 """Instants that a worker takes for a task in the loop without ROS."""
 _AWAITED = 0.05
-"""How long time waits for the controller's tick [s]."""
+"""How long time waits for the controller's tick and for its worker at an instant [s, wall]."""
 _READING = 2e-4
 """Time between two readings of the clock of durations [s], where calls are counted."""
-_GOALS, _KNOWN_GOALS, _MAPS = 5, 9, 3
+_GOALS, _KNOWN_GOALS, _MAPS = 9, 9, 3
 _BETWEEN = 0.15
 """Wall time between two known goals [s]: each is told."""
 _START, _GOAL = PAPER_CASES[1].start, PAPER_CASES[1].goal
@@ -116,16 +116,13 @@ class Meter:
 
     def of(self, controller: Controller) -> None:
         """Take note of the decisions of a node's controller."""
-        decide = controller.decide
-
-        def noted(*arguments: Any) -> Decision:
-            self.decision = decide(*arguments)
+        def note(decision: Decision) -> None:
+            self.decision = decision
             if self._cuts:
                 sys.setprofile(None)
                 self._cut_at = time.perf_counter()
-            return self.decision
 
-        controller.decide = noted  # type: ignore[method-assign]
+        _after(controller, "decide", note)
 
     def run(self, function: Callable[..., Any], *arguments: Any, cuts: bool = False) -> Any:
         """Call a function as part of the present walk, which ends at a decision with `cuts`."""
@@ -290,6 +287,13 @@ class NodeWalk:
         self._floor = self._controller.floor
         self._goals = self._ticks = 0
         self.meter.of(self._controller)
+        self._is_on_its_way = False
+        """Whether a command has not arrived at the simulator yet."""
+        self._replies: list[Reply[Any]] = []
+        """Those of the worker."""
+        _after(self._controller, "commit", self._sent)
+        _after(self._node._worker, "submit", self._replies.append)
+        _after(topics_of(self._simulator)["/rotor_trajectory"], "callback", self._arrived)
         record, meter = self._record, self.meter
         for timer in self._node.timers:
             is_clocked = timer.clock.clock_type == ClockType.ROS_TIME
@@ -297,7 +301,7 @@ class NodeWalk:
                 record(timer, meter, self._end_tick)
             elif timer.callback.__name__ == "_look":
                 record(timer, self._looks, self._end_look)
-        topics = {one.topic_name: one for one in self._node.subscriptions}
+        topics = topics_of(self._node)
         record(topics["/pose"], meter, lambda: meter.end(POSE))
         record(topics["/goal_pose"], meter, self._end_goal, cuts=True)
         record(topics["/map"], self._maps, lambda: None)
@@ -345,6 +349,17 @@ class NodeWalk:
 
         endpoint.callback = call
 
+    def _worker_is_busy(self) -> bool:
+        self._node._worker.poll()
+        self._replies[:] = [reply for reply in self._replies if reply.pending]
+        return bool(self._replies)
+
+    def _sent(self, hold: object) -> None:
+        self._is_on_its_way = hold is not None
+
+    def _arrived(self, _: None) -> None:
+        self._is_on_its_way = False
+
     def _end_tick(self) -> None:
         self.meter.end_tick()
         self._ticks += 1
@@ -378,8 +393,10 @@ class NodeWalk:
                 raise RuntimeError(f"timed out after {PATIENCE:g} s")
             ticks = self._ticks
             self._simulator.work(self)  # type: ignore[arg-type]
-            ticked = time.monotonic() + _AWAITED
-            while self._ticks == ticks and time.monotonic() < ticked:
+            awaited = time.monotonic() + _AWAITED
+            while time.monotonic() < awaited and (
+                self._ticks == ticks or self._is_on_its_way or self._worker_is_busy()
+            ):
                 self.spin_once(1e-3)
 
     def spin_once(self, timeout_sec: float) -> None:
@@ -391,6 +408,23 @@ class NodeWalk:
             if time.monotonic() >= end:
                 break
             time.sleep(2e-4)
+
+
+def _after(owner: Any, name: str, then: Callable[[Any], object]) -> None:
+    """Have a function called with each result of a method of an object."""
+    method = getattr(owner, name)
+
+    def call(*arguments: Any) -> Any:
+        result = method(*arguments)
+        then(result)
+        return result
+
+    setattr(owner, name, call)
+
+
+def topics_of(node: Node) -> dict[str, Any]:
+    """Return the subscriptions of a node by their topics."""
+    return {one.topic_name: one for one in node.subscriptions}
 
 
 def _parameters(**values: Any) -> list[Parameter]:

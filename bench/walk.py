@@ -2,11 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Length of the way through the code: calls, functions, files and records of an instant.
 
-Case 1 is rolled in a closed loop without ROS, and between controller node and simulator over DDS.
-Counted are calls into sphere_nmpc, distinct functions and files among them, and kinds of its
-records that are made; in the node without what is within the controller, which depends on the
-load. Figures are medians. Times are taken in a second pass, in thousands of additions of small
-NumPy arrays. The exit status is 1 where a count exceeds that of walk.json.
+Case 1 is rolled in a closed loop without ROS, in line and with a worker, and between controller
+node and simulator over DDS. Counted are calls into sphere_nmpc, distinct functions and files among
+them, and kinds of its records (dataclasses, named tuples) that are made, all with what the
+controller does. They are those of a typical instant: of each function the median of its calls
+counts, so that what few instants do, such as a search that begins, does not change the others.
+
+Counts depend neither on the load nor on the processor: durations are counted in readings of their
+clock, simulated time waits for commands on their way and for the worker's results, and what is
+made once for each size of a problem is made before. Not committed are ticks that solve with a
+search in line, whose effort depends on the last digits, and those of the node: there the instants
+at which a search of another process ends are by chance, and with them what is solved.
+
+Times are taken in a second pass, in thousands of additions of small NumPy arrays, and are medians.
+The exit status is 1 where a count exceeds that of walk.json.
 """
 
 import argparse
@@ -14,17 +23,11 @@ import contextlib
 import itertools
 import json
 import math
-import os
-import sys
-import threading
 import time
-from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterable, Sequence
-from copy import deepcopy
-from dataclasses import dataclass, field, is_dataclass
+from collections import Counter, deque
+from collections.abc import Callable
 from pathlib import Path
-from statistics import median, median_low
-from types import FrameType
+from statistics import median
 from typing import Any
 from unittest import mock
 
@@ -36,12 +39,9 @@ from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from walk_meter import NEARLY, RESTING, SOLVED, Meter, Walk, after, counts_of
 
-import sphere_nmpc
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.link import REACH
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -61,17 +61,11 @@ from sphere_sim.world.simulator import Simulator
 
 COMMITTED = Path(__file__).with_name("walk.json")
 POSE, GOAL, KNOWN, MAP = "pose", "goal, to first decision", "goal, known", "map, to floor in force"
-NEARLY = "tick, solved near the end"
-FOLLOWED, RESTING, SOLVED = "tick, followed", "tick, resting", "tick, solved"
-REPORTED = "tick, with a status"
-_VARIES = {"loop": (SOLVED, NEARLY), "node": (SOLVED, NEARLY, REPORTED)}
-"""Not committed: searches in line depend on the last digits, and what is told on the load."""
+_VARIES = {"loop": (SOLVED, NEARLY), "node": (SOLVED, NEARLY)}
+"""What is not committed."""
 COUNTS = "calls", "functions", "files", "records"
 PATIENCE = 120.0
 """How long the nodes may take on a busy machine [s]."""
-_ROOT = os.path.dirname(sphere_nmpc.__file__) + os.sep
-_INLINED = "<listcomp>", "<setcomp>", "<dictcomp>"
-"""Frames that not every version of Python makes."""
 _PERIOD = 0.01
 """Control period [s]: a status is due at each fifth instant."""
 _DURATION = 7.0
@@ -86,122 +80,6 @@ _GOALS, _KNOWN_GOALS, _MAPS = 9, 9, 3
 _BETWEEN = 0.15
 """Wall time between two known goals [s]: each is told."""
 _START, _GOAL = PAPER_CASES[1].start, PAPER_CASES[1].goal
-
-
-@dataclass
-class Walk:
-    """Calls and records of one instant, and the time that it took [thousands of operations]."""
-
-    calls: list[tuple[str, str]] = field(default_factory=list)
-    records: set[str] = field(default_factory=set)
-    time: float = 0.0
-
-
-class Meter:
-    """Recorder of walks, by calls or by time, each sorted by its kind when it is over.
-
-    The walk to a first decision ends with it, within a callback.
-    """
-
-    def __init__(self, counts: bool) -> None:
-        self._counts = counts
-        self._now = Walk()
-        self._cut_at: float | None = None
-        self._cuts = False
-        self._makers: set[FrameType] = set()
-        self.decision: Any = None
-        """The newest decision in the present walk."""
-        self.walks: dict[str, list[Walk]] = defaultdict(list)
-        self._unit = _operations()
-
-    def of(self, controller: Controller) -> None:
-        """Take note of the decisions of a node's controller."""
-        def note(decision: Decision) -> None:
-            self.decision = decision
-            if self._cuts:
-                sys.setprofile(None)
-                self._cut_at = time.perf_counter()
-
-        _after(controller, "decide", note)
-
-    def run(self, function: Callable[..., Any], *arguments: Any, cuts: bool = False) -> Any:
-        """Call a function as part of the present walk, which ends at a decision with `cuts`."""
-        self._cuts, self._cut_at = cuts, None
-        if self._counts:
-            threading.setprofile(self._record)
-            sys.setprofile(self._record)
-        self._makers.clear()
-        began = time.perf_counter()
-        try:
-            return function(*arguments)
-        finally:
-            sys.setprofile(None)
-            threading.setprofile(None)
-            self._now.time += ((self._cut_at or time.perf_counter()) - began) / self._unit
-
-    def note(self, kind: str) -> None:
-        """Count what there is of the present walk as one of this kind; it goes on."""
-        self.walks[kind].append(deepcopy(self._now))
-
-    def end(self, kind: str | None) -> None:
-        """End the present walk, which is of this kind; None forgets it."""
-        if kind == FOLLOWED and any(file == "ros/diagnostics.py" for file, _ in self._now.calls):
-            kind = REPORTED
-        if kind is not None:
-            self.walks[kind].append(self._now)
-            if len(self.walks[kind]) % 50 == 0:
-                self._unit = _operations()
-        self._now, self.decision = Walk(), None
-
-    def end_tick(self) -> None:
-        """End the walk of a sampling instant."""
-        decision, kind = self.decision, None
-        if decision is not None and decision.mode is Kind.AT_GOAL:
-            kind = RESTING
-        elif decision is not None and decision.mode is Kind.TRACKING:
-            kind = SOLVED if decision.is_new else FOLLOWED
-            hold = decision.plan.hold
-            if kind == SOLVED and hold.end - hold.start < REACH:
-                kind = NEARLY
-        self.end(kind)
-
-    def take(self, other: "Meter") -> None:
-        """Append the present walk of another meter to that of this one."""
-        self._now.calls += other._now.calls
-        self._now.records |= other._now.records
-        self._now.time += other._now.time
-
-    def _record(self, frame: FrameType, event: str, argument: Any) -> None:
-        """Count a call, and what a function makes: by `__init__`, or by `__new__` and returned."""
-        code = frame.f_code
-        if event == "call":
-            if code.co_filename.startswith(_ROOT) and code.co_name not in _INLINED:
-                name = getattr(code, "co_qualname", code.co_name)  # from Python 3.11 on
-                self._now.calls.append((code.co_filename[len(_ROOT):], name))
-            if code.co_name == "__init__":
-                self._made(frame.f_locals.get(code.co_varnames[0]))
-        elif event == "c_call":
-            if getattr(argument, "__name__", "") == "__new__":
-                self._makers.add(frame)
-        elif event == "return" and frame in self._makers:
-            self._makers.remove(frame)
-            self._made(argument)
-
-    def _made(self, value: Any) -> None:
-        """Count a value if it is a record of the package."""
-        made = type(value)
-        is_record = is_dataclass(made) or (issubclass(made, tuple) and hasattr(made, "_fields"))
-        if is_record and made.__module__.startswith(sphere_nmpc.__name__):
-            self._now.records.add(made.__name__)
-
-
-def _operations() -> float:
-    """Return the time of a thousand additions of small arrays [s]."""
-    one, other = np.arange(9.0), np.ones(9)
-    began = time.perf_counter()
-    for _ in range(200):
-        one + other
-    return 5.0 * (time.perf_counter() - began)
 
 
 class LateWorker:
@@ -291,9 +169,10 @@ class NodeWalk:
         """Whether a command has not arrived at the simulator yet."""
         self._replies: list[Reply[Any]] = []
         """Those of the worker."""
-        _after(self._controller, "commit", self._sent)
-        _after(self._node._worker, "submit", self._replies.append)
-        _after(topics_of(self._simulator)["/rotor_trajectory"], "callback", self._arrived)
+        after(self._controller, "commit", self._sent)
+        self._worker: Any = self._node._worker
+        after(self._worker, "submit", self._replies.append)
+        after(topics_of(self._simulator)["/rotor_trajectory"], "callback", self._arrived)
         record, meter = self._record, self.meter
         for timer in self._node.timers:
             is_clocked = timer.clock.clock_type == ClockType.ROS_TIME
@@ -350,7 +229,7 @@ class NodeWalk:
         endpoint.callback = call
 
     def _worker_is_busy(self) -> bool:
-        self._node._worker.poll()
+        self._worker.poll()
         self._replies[:] = [reply for reply in self._replies if reply.pending]
         return bool(self._replies)
 
@@ -410,18 +289,6 @@ class NodeWalk:
             time.sleep(2e-4)
 
 
-def _after(owner: Any, name: str, then: Callable[[Any], object]) -> None:
-    """Have a function called with each result of a method of an object."""
-    method = getattr(owner, name)
-
-    def call(*arguments: Any) -> Any:
-        result = method(*arguments)
-        then(result)
-        return result
-
-    setattr(owner, name, call)
-
-
 def topics_of(node: Node) -> dict[str, Any]:
     """Return the subscriptions of a node by their topics."""
     return {one.topic_name: one for one in node.subscriptions}
@@ -439,23 +306,6 @@ def walk_nodes(counts: bool) -> dict[str, list[Walk]]:
         nodes = NodeWalk(counts)
         ends.callback(nodes.close)
         return nodes.run()
-
-
-def counts_of(walks: list[Walk]) -> list[int]:
-    """Return the numbers of calls, functions, files and kinds of records of a typical instant.
-
-    Of each function it has the median number of calls, and of records those of most instants.
-    """
-    calls = _medians([walk.calls for walk in walks])
-    records = _medians([walk.records for walk in walks])
-    return [sum(calls.values()), len(calls), len({file for file, _ in calls}), len(records)]
-
-
-def _medians(walks: Sequence[Iterable[Any]]) -> dict[Any, int]:
-    """Return what is in most of these walks, with the median of how often it is in one."""
-    counts = [Counter(walk) for walk in walks]
-    found = {one: median_low(count[one] for count in counts) for one in set().union(*counts)}
-    return {one: number for one, number in found.items() if number}
 
 
 def table(found: dict[str, Any], limits: dict[str, Any], times: Any) -> list[str]:

@@ -72,8 +72,8 @@ _DURATION = 7.0
 """Time of the closed loop [s], which arrives in it."""
 _LATE = 3
 """Instants that a worker takes for a task in the loop without ROS."""
-_AWAITED = 0.05
-"""How long time waits for the controller's tick and for its worker at an instant [s, wall]."""
+_AWAITED = 0.5
+"""How long simulated time waits at an instant for tick, command and worker [s, wall]."""
 _READING = 2e-4
 """Time between two readings of the clock of durations [s], where calls are counted."""
 _GOALS, _KNOWN_GOALS, _MAPS = 9, 9, 3
@@ -270,11 +270,13 @@ class NodeWalk:
         while not condition():
             if time.monotonic() > end:
                 raise RuntimeError(f"timed out after {PATIENCE:g} s")
-            ticks = self._ticks
+            now, ticks = self._simulator.simulator.now, self._ticks
             self._simulator.work(self)  # type: ignore[arg-type]
+            has_advanced = self._simulator.simulator.now > now
             awaited = time.monotonic() + _AWAITED
             while time.monotonic() < awaited and (
-                self._ticks == ticks or self._is_on_its_way or self._worker_is_busy()
+                (has_advanced and self._ticks == ticks)
+                or self._is_on_its_way or self._worker_is_busy()
             ):
                 self.spin_once(1e-3)
 

@@ -140,10 +140,13 @@ class Meter:
 def _operations() -> float:
     """Return the time of a thousand additions of small arrays [s]."""
     one, other = np.arange(9.0), np.ones(9)
-    began = time.perf_counter()
-    for _ in range(200):
-        one + other
-    return 5.0 * (time.perf_counter() - began)
+    took = []
+    for _ in range(5):
+        began = time.perf_counter()
+        for _ in range(200):
+            one + other
+        took.append(5.0 * (time.perf_counter() - began))
+    return min(took)  # what else the processor does is none of it
 
 
 def after(owner: Any, name: str, then: Callable[[Any], object]) -> None:

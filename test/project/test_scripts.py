@@ -6,6 +6,8 @@ import re
 import runpy
 import subprocess
 import sys
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +28,10 @@ from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import in_sight, route_to
 from sphere_nmpc.floor.settings import FloorSettings
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantities
+from sphere_nmpc.ros.cdr import Clock
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
@@ -49,6 +53,24 @@ def test_no_instant_of_the_walk_makes_more_calls_than_committed() -> None:
     command = [sys.executable, str(BENCH / "walk.py"), "--counts"]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, f"{found.stdout}{found.stderr}"
+
+
+def test_walk_counts_records_however_they_are_made_and_none_that_is_compared() -> None:
+    meter = runpy.run_path(str(BENCH / "walk_meter.py"))["Meter"](counts=True)
+    hold, clock, robot = FirstOrderHold([0.0], [[0.0, 0.0]]), Clock(1), RobotParameters()
+    made = [
+        lambda: FirstOrderHold.constant(1.0, np.zeros(2)), lambda: replace(hold, times=[1.0]),
+        lambda: FirstOrderHold._unchecked(hold.times.copy(), hold.speeds.copy()),
+        lambda: copy(hold), lambda: Clock(1), lambda: Clock._make([1]),
+        lambda: clock._replace(stamp=3),
+        lambda: (hash(robot), robot == robot, clock == clock, repr(hold)),
+    ]
+    for make in made:
+        meter.run(make)
+        meter.end("made")
+    assert [walk.records for walk in meter.walks["made"]] == [
+        *[{"FirstOrderHold"}] * 4, *[{"Clock"}] * 3, set(),
+    ]
 
 
 @pytest.mark.parametrize(

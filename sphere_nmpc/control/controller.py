@@ -459,7 +459,7 @@ class Controller:
         else:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
-        if active is not None and estimate is not None and self._enabled:
+        if active is not None and not active.is_last and estimate is not None and self._enabled:
             active = self._on_its_leg(time, active, estimate, before)
         goal = None if active is None else active.goal.nearest(state, time)
         if active is None or goal is None or not self._enabled:

@@ -121,6 +121,7 @@ class GoalMotion:
             moved = position_error(pose, goal.pose), angle_error(pose, goal.pose)
             if np.all(np.array(moved) < _SIGNIFICANT * self._noise / np.sqrt(count)):
                 return replace(goal, since=float(times[-1]))
+        rate = rate if rate.any() else STANDING
         return replace(goal, pose=pose, rate=rate, since=float(times[-1]))
 
     def _is_changed(self, left: Vector) -> bool:

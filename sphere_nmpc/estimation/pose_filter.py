@@ -67,7 +67,7 @@ class Estimate:
     @cached_property
     def uncertainty(self) -> float:
         """Standard deviation of the error of the state in R^6 [mixed units]; 0 if trusted."""
-        return state_deviation(self.covariance)
+        return 0.0 if self.covariance is None else state_deviation(self.covariance)
 
 
 class Belief(NamedTuple):

@@ -5,6 +5,7 @@
 It is a chain: the plan of the leg that is followed, and that of the next leg from its end on.
 """
 
+import operator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -66,7 +67,7 @@ class InForce:
     def at(self, time: float) -> Vector:
         """Return the state that it predicts for a control time [s], shape (9,)."""
         made_for = self.situation
-        return self.plan.at(time, made_for.constants, made_for.disturbance)
+        return self.plan.at(time, made_for.plant.constants, made_for.disturbance)
 
     def stands(
         self, time: float, state: Vector, uncertainty: float, inputs: tuple[object, ...]
@@ -79,7 +80,7 @@ class InForce:
         plan = self.plan
         if not self.situation.time < time < plan.until:
             return False
-        if any(one is not other for one, other in zip(inputs, self.inputs, strict=True)):
+        if not all(map(operator.is_, inputs, self.inputs)):
             return False
         error = state_error(state, self.at(time)[POSE])
         return error <= plan.tolerance or error <= uncertainty

@@ -106,7 +106,8 @@ class GoalMotion:
             while len(self._given) > _LEAST - 1:
                 self._given.popleft()
             return self._estimate(goal)
-        value, rate = mean.copy(), np.zeros(5)
+        value: Vector = mean.copy()
+        rate: Vector = np.zeros(5)
         noise = np.array([
             np.sqrt(np.sum(left[:, part] ** 2) / ((count - 2.0) * (part.stop - part.start)))
             for part in _PARTS

@@ -53,7 +53,8 @@ _FIELDS: dict[type, dict[str, Any]] = {
     Made: dict.fromkeys(("cost", "kkt_residual", "solve_time"), Real)
     | dict.fromkeys(("turns", "work", "iterations", "motion"), Integral),
 }
-"""Types of the fields of a plan, of other packages as well."""
+"""Types of the fields of a plan and its parts, of other packages as well."""
+_RECORDS, _NONE = (FirstOrderHold, Leg, Goal, Made), dict[str, Any]()
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,16 +278,8 @@ def plan_of(strategy: Strategy, situation: Situation, robot: RobotParameters) ->
 
 def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> Plan:
     plan = strategy.plan(situation)
-    # Classes derived from these could have other methods.
-    _check(plan, Plan)
-    for one, kind in (
-        (plan.leg, Leg), (plan.leg.goal, Goal), (plan.made, Made),
-        *((one, Condition) for one in plan.conditions),
-    ):
-        _check(one, kind)
+    _check_types(plan)
     hold, states = plan.hold, np.array(plan.states, dtype=float)
-    if type(hold) is not FirstOrderHold:
-        raise TypeError(f"plan: given {type(hold).__name__}, expected FirstOrderHold")
     knots, rows = hold.times.size, len(states) if states.ndim else -1
     if knots > MOST_KNOTS:
         raise ValueError(f"plan: given {knots} knots, expected at most {MOST_KNOTS}")
@@ -304,18 +297,25 @@ def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> 
     return replace(
         plan, states=states, clearance=math.nan,
         hold=hold.limited(robot.max_rotor_speed, robot.max_rotor_acceleration),
-        conditions=tuple(
-            Condition(kind, printable_line(text), printable_line(subject))
+        conditions=tuple([
+            Condition(kind, printable_line(text), subject and printable_line(subject))
             for kind, text, subject in plan.conditions
-        ),
+        ]),
     )
 
 
-def _check(given: object, kind: type) -> None:
-    """Raise a `TypeError` where a part of a plan is of another type, or one of its fields is."""
-    if type(given) is not kind:
-        raise TypeError(f"plan: given {type(given).__name__}, expected {kind.__name__}")
-    for name, expected in _FIELDS[kind].items():
-        value = getattr(given, name)
-        if not isinstance(value, expected):
-            raise TypeError(f"plan: given the {name} {shown(value)}, expected another type")
+def _check_types(plan: Plan) -> None:
+    """Raise a `TypeError` where a plan, a part of it or a field of these is of another type."""
+    parts: list[tuple[Any, type]] = [(plan, Plan)]
+    for given, kind in parts:
+        # Classes derived from these could have other methods.
+        if type(given) is not kind:
+            raise TypeError(f"plan: given {type(given).__name__}, expected {kind.__name__}")
+        for name, expected in _FIELDS.get(kind, _NONE).items():
+            value = getattr(given, name)
+            if not isinstance(value, expected):
+                raise TypeError(f"plan: given the {name} {shown(value)}, expected another type")
+            if expected in _RECORDS:
+                parts.append((value, expected))
+            elif expected is tuple:
+                parts += [(one, Condition) for one in value]

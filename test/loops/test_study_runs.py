@@ -186,7 +186,7 @@ def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None
             (PlanStatus.RAMP_TO_REST, PlanStatus.RAMP_TO_REST, PlanStatus.SATURATED),
             ("the goal: no way", "the goal: it is occupied", "saturated"), strict=False,
         ):
-            plan = replace(decision.plan, status=status, given_up=words)
+            plan = replace(decision.plan, status=status).giving_up(words)
             found.decisions.append(replace(decision, plan=plan))
         return found
 

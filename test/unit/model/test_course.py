@@ -17,7 +17,7 @@ def test_course_of_goals_comes_to_rest_at_each_in_their_order() -> None:
     course = Course.of(*goals)
     assert all(one is other for one, other in zip(course.goals, goals, strict=True))
     for leg in course.legs:
-        assert leg.end is End.REST and not leg.is_passed
+        assert leg.end is End.REST
         assert leg.time_left == leg.way_left == 0.0
 
 
@@ -42,7 +42,7 @@ def test_course_whose_goal_has_moved_has_the_same_origin_and_other_legs() -> Non
 def test_leg_that_is_aimed_at_keeps_how_it_ends() -> None:
     leg = Leg(Goal(NEAR), End.THROUGH, time_left=3.0, way_left=2.0)
     found = Course((leg,)).aimed(0, Goal(FAR)).legs[0]
-    assert found.is_passed and (found.time_left, found.way_left) == (3.0, 2.0)
+    assert (found.end, found.time_left, found.way_left) == (End.THROUGH, 3.0, 2.0)
 
 
 def test_leg_put_in_front_is_followed_by_the_one_that_was_there() -> None:

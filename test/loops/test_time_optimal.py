@@ -232,7 +232,7 @@ def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(di
     # Steady rolling is integrated exactly in steps of any length. The direction, which is
     # corrected on the way, is within the terminal error.
     end = end_of(now.state, found.hold, SOLVER.grid.fine)
-    assert state_error(end, found.goal.pose) < distance * TUNING.arrival_error
+    assert state_error(end, found.leg.goal.pose) < distance * TUNING.arrival_error
     assert found.duration < distance / ROLLING.speed + 2.5
 
 

@@ -33,8 +33,8 @@ def leads_to(followed: InForce, situation: Situation, settings: TimeOptimalSetti
     if made_for.course.origin is not situation.course.origin or made_for.leg != situation.leg:
         return False
     goal = situation.goal.at(end)
-    own = made_for.goal if leg.is_passed else leg.goal
-    return settings.is_near(own.nearest(goal, end), goal, situation.constants)
+    own = made_for.goal.nearest(goal, end) if leg.is_passed else leg.goal.at(end)
+    return settings.is_near(own, goal, situation.constants)
 
 
 def left_of(plan: Plan, now: float, grid: Grid) -> FirstOrderHold:

@@ -60,7 +60,9 @@ class Course:
 
     @classmethod
     def of(cls, *goals: Goal) -> "Course":
-        """Return a new course that comes to rest at each of the goals."""
+        """Return a new course that comes to rest at each of the goals, which are frozen."""
+        for goal in goals:
+            goal.pose.flags.writeable = goal.rate.flags.writeable = False
         return cls(tuple(map(Leg, goals)))
 
     @property

@@ -99,8 +99,10 @@ class Situation:
 
     def __post_init__(self) -> None:
         aimed = self.course.legs[self.leg].goal
-        for array in (self.state, aimed.pose, aimed.rate):
-            array.flags.writeable = False  # the estimate and the goal in force are the same arrays
+        # The estimate and the goal in force are the same arrays.
+        for array in (self.state, aimed.pose, aimed.rate, self.plant.deviations, self.covariance):
+            if array is not None:
+                array.flags.writeable = False
 
     @classmethod
     def of(

@@ -220,7 +220,7 @@ class Known:
     def __init__(self, loop: SampledLoop) -> None:
         self._loop = loop
         self._world, self.disturbance = loop.world, disturbance_of(loop.world, loop.robot)
-        self.plant = PlantEstimate(loop.robot.lumped, 0.0, 0.0, np.zeros(4))
+        self.plant = PlantEstimate(loop.robot.lumped)
 
     @property
     def newest(self) -> tuple[float, Vector]:

@@ -42,8 +42,11 @@ def leads_to(followed: InForce, situation: Situation, settings: TimeOptimalSetti
         return False
     leg, end = followed.plan.leg, followed.plan.end
     goal = situation.goal.at(end)
-    own = leg.goal if leg.end is LegEnd.REST else followed.situation.goal
-    return settings.is_near(own.nearest(goal, end), goal, situation.constants)
+    if leg.end is LegEnd.REST:
+        own = leg.goal.at(end)
+    else:
+        own = followed.situation.goal.nearest(goal, end)
+    return settings.is_near(own, goal, situation.constants)
 
 
 def left_of(plan: Plan, now: float, grid: Grid) -> FirstOrderHold:

@@ -67,7 +67,7 @@ class Saturated:
 
 
 State = Searching | InForce | Holding | Saturated
-"""*Following* is that of an `InForce`; whether it ends in the dead band is the plan's status."""
+"""That of following is an `InForce`; whether it ends in the dead band is its plan's status."""
 
 
 class Machine:

@@ -24,7 +24,8 @@ from worlds import draw_poses, draw_world
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.library_threads import limit_library_threads
-from sphere_nmpc.model.goal import Goal, GoalSequence
+from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, position_error
 from sphere_sim.evaluation.closed_loop import run_closed_loop
@@ -51,9 +52,9 @@ _STEP = 1e-3
 """Time between two looks at the sphere [s], which may pass through a goal at full speed."""
 
 
-def as_list(poses: Sequence[Vector]) -> GoalSequence:
-    """Return the list of goals that has these poses, shape (6,) each, in this order."""
-    return GoalSequence(tuple(Goal(pose) for pose in poses))
+def as_list(poses: Sequence[Vector]) -> Course:
+    """Return the course that has these poses, shape (6,) each, in this order."""
+    return Course.of(*map(Goal, poses))
 
 
 def draw(kind: str, rng: np.random.Generator) -> tuple[list[Vector], Floor]:

@@ -206,16 +206,17 @@ class Controller:
             times[0] = 0.0 if math.isnan(time_left) else time_left
         return sum(times), sum(ways)
 
-    def set_goal(self, goal: Vector | Goal) -> bool:
-        """Track one goal, or a goal state, shape (6,), with all of its orientation.
+    def set_goal(self, goal: Vector | Goal | Course) -> bool:
+        """Track one goal, or a goal state, shape (6,), with all of its orientation, or a course.
 
         Raises
         ------
         InvalidStateError
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
-        one = goal if isinstance(goal, Goal) else Goal(as_state(goal))
-        return self.follow(ActiveCourse(Course.of(one)))
+        if not isinstance(goal, Course):
+            goal = Course.of(goal if isinstance(goal, Goal) else Goal(as_state(goal)))
+        return self.follow(ActiveCourse(goal))
 
     def follow(self, course: ActiveCourse, time: float | None = None) -> bool:
         """Follow another course, from the next sampling instant on.

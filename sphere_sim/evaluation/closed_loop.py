@@ -11,8 +11,9 @@ import numpy as np
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal, GoalSequence
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.world.disturbances import Push
@@ -53,11 +54,11 @@ class Trajectory:
 
 
 def run_closed_loop(
-    simulator: Simulator, controller: Controller, goal: Vector | Goal | GoalSequence,
+    simulator: Simulator, controller: Controller, goal: Vector | Goal | Course,
     duration: float, control_period: float, output_period: float = 0.01, latency: float = 0.0,
     push: Push | None = None, poses: Callable[[], list[tuple[int, Vector]]] | None = None,
 ) -> Trajectory:
-    """Simulate a plant under a new controller with a goal, a set or shape (6,), or with a list.
+    """Simulate a plant under a new controller with a goal, a set or shape (6,), or a course.
 
     The run begins at the start of the plant and lasts `duration`, with a sampling instant every
     `control_period` and a row of the trajectory every `output_period`, which the controller does
@@ -73,10 +74,7 @@ def run_closed_loop(
             "latency", latency, "0 for a sensor with rate or latency, and for an odometry"
         )
     new_poses = poses or simulator.poses
-    if isinstance(goal, GoalSequence):
-        controller.set_goals(goal)
-    else:
-        controller.set_goal(goal)
+    controller.set_goal(goal)
     control, output = round(control_period * NANOSECONDS), round(output_period * NANOSECONDS)
     end = round(duration * NANOSECONDS)
     delay = round(latency * NANOSECONDS)

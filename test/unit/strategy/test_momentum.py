@@ -9,7 +9,7 @@ import pytest
 from floor_plans import DOORWAY, floor_of
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.course import End
+from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,
     Disturbance,
@@ -135,7 +135,7 @@ def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
         there = np.append(aim.situation.goal.pose, momentum)
         to_it = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, np.zeros(2)), there[None, :])
         leg = Guide(far, SOLVER).on_the_way(to_it).leg
-        assert leg.end is End.THROUGH and leg.time_left > 1e4
+        assert leg.end is LegEnd.THROUGH and leg.time_left > 1e4
         assert leg.way_left == pytest.approx(1e5 - np.linalg.norm(there[POSITION]))
 
 

@@ -36,7 +36,7 @@ class ActiveCourse:
     @cached_property
     def goal(self) -> Goal:
         """The goal that is aimed at."""
-        return self.leg.goal
+        return self.course.legs[self.index].goal
 
     @cached_property
     def is_last(self) -> bool:
@@ -65,7 +65,6 @@ class CourseInForce:
             if known is not None and not is_other:
                 self.active = replace(given, course=known.course.aimed(0, goal))
                 return False
-            given = replace(given, course=course.aimed(0, goal))
         else:
             self._motion = GoalMotion()
         is_new = known is None or not known.course.is_listed_in(course)

@@ -177,7 +177,8 @@ class Controller:
     @property
     def goal(self) -> Vector | None:
         """Pose of the goal that is aimed at, shape (6,), or None."""
-        return None if self.active is None else self.active.goal.pose.copy()
+        active = self._course.active
+        return None if active is None else active.goal.pose.copy()
 
     def goal_speed(self, time: float) -> float:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
@@ -190,7 +191,7 @@ class Controller:
         To the goal that is aimed at they are those of the plan, where they are known, that is not
         nan; otherwise, and from goal to goal, those of rolling straight from rest to rest.
         """
-        active, newest = self.active, self._estimator.newest
+        active, newest = self._course.active, self._estimator.newest
         if active is None or newest is None:
             return math.nan, math.nan
         rolling = SteadyRolling.of(
@@ -349,7 +350,7 @@ class Controller:
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
-        known = self.active is not None and self._estimator.newest is not None
+        known = self._course.active is not None and self._estimator.newest is not None
         return known and self.enabled and self.is_at_rest(now)
 
     @property

@@ -146,18 +146,28 @@ class Plan:
     @property
     def message(self) -> str:
         """What it does, or why it does no more; empty if not told."""
-        return next((one.text for one in self.conditions if one.kind is Kind.PLANNED), "")
+        planned = [text for kind, text, _ in self.conditions if kind is Kind.PLANNED]
+        return planned[0] if planned else ""
+
+    @property
+    def limitation(self) -> Condition | None:
+        """What it gives up of the goal and why; None where that is nothing."""
+        found = [one for one in self.conditions if one.kind is not Kind.PLANNED]
+        return found[0] if found else None
 
     @property
     def given_up(self) -> str:
-        """What it gives up of the goal and why; empty where that is nothing."""
-        return next((one.text for one in self.conditions if one.kind is not Kind.PLANNED), "")
+        """The text of its limitation, empty without one."""
+        limitation = self.limitation
+        return "" if limitation is None else limitation.text
 
     @property
     def unreachable(self) -> Kind | None:
         """Why the goal is unreachable whatever moves on the floor; None where it may not be."""
-        kinds = (one.kind for one in self.conditions)
-        return next((kind for kind in kinds if kind.is_unreachable), None)
+        limitation = self.limitation
+        if limitation is None or not limitation.kind.is_unreachable:
+            return None
+        return limitation.kind
 
     def giving_up(self, reason: str) -> "Plan":
         """Return the plan with what it gives up of the goal and why; itself if that is empty."""

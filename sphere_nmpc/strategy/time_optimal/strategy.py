@@ -121,7 +121,7 @@ class TimeOptimalStrategy:
         made = plan.made
         if not isinstance(state, Holding):
             made = replace(made, solve_time=time.perf_counter() - began)
-        if not plan.given_up:
+        if at_rest.limitation and plan.limitation is None:
             plan = plan.giving_up(at_rest.limitation)
         return replace(
             plan, until=machine.until(situation), tolerance=self._tuning.arrival_error, made=made

@@ -19,12 +19,12 @@ from sphere_nmpc.control.monitors import (
     Progress,
     relative_error,
 )
+from sphere_nmpc.control.planner import Planner
 from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.foreign_code import called, foreign_error
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -43,13 +43,7 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.native.library import library
-from sphere_nmpc.strategy.contract import (
-    SearchingStrategy,
-    Situation,
-    Strategy,
-    make_strategy,
-    plan_of,
-)
+from sphere_nmpc.strategy.contract import Situation, Strategy
 from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
@@ -90,13 +84,11 @@ class Controller:
         library()  # it is loaded, or its absence told, here and not at the first instant
         self._settings = settings = settings.of(robot)
         robot = self._robot = within_torque(robot)
-        self._worker = worker
-        self._searching: SearchingStrategy | None = None
-        self._compares_goals = False
-        """Whether the strategy finds another goal by itself, and needs no reset."""
-        self._prepared: tuple[ControllerSettings, Strategy] | None = None
-        """A strategy that was made for other settings, which are not in force yet."""
-        self._strategy = strategy or self._make_strategy()
+        self.failures = 0
+        """Errors since the start in the processing of poses, estimates, plans and commands."""
+        self.last_failure = ""
+        """Message of the newest of these errors."""
+        self._planner = Planner(settings, robot, self._record, strategy, worker)
         self._commands = Commands(robot)
         self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
         """What measured rotor speeds tell about the commands on their way."""
@@ -119,14 +111,8 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
-        self._planned: InForce | None = None
-        """The newest plan, with what it was made for; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
-        self.failures = 0
-        """Errors since the start in the processing of poses, estimates, plans and commands."""
-        self.last_failure = ""
-        """Message of the newest of these errors."""
 
     @property
     def enabled(self) -> bool:
@@ -241,18 +227,15 @@ class Controller:
         """Aim at another goal."""
         self._arrival = ArrivalDetector()
         self._progress.reset()
-        if not self._compares_goals:
-            self._reset_strategy()
+        if not self._planner.compares_goals:
+            self._planner.reset()
 
     def prepare(self, settings: ControllerSettings) -> None:
         """Make the strategy of settings that `change` is given next, where it is another one.
 
         `InvalidParameterError` is raised if it cannot be made.
         """
-        settings = settings.of(self._robot)
-        is_prepared = self._prepared is not None and self._prepared[0] == settings
-        if self._is_of_other_strategy(settings) and not is_prepared:
-            self._prepared = settings, make_strategy(settings, self._robot, self._worker)
+        self._planner.prepare(settings.of(self._robot))
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running.
@@ -261,18 +244,10 @@ class Controller:
         estimates that the change does not concern. `InvalidParameterError` is raised, and nothing
         changes, if there is another strategy and it cannot be made.
         """
-        self.prepare(settings)
         settings = settings.of(self._robot)
-        is_other, self._settings = self._is_of_other_strategy(settings), settings
-        if is_other:
-            self._renew_strategy()
-        else:
-            self._call_strategy(lambda: self._strategy.change(settings))
+        self._planner.change(settings)
+        self._settings = settings
         self._estimator.change(settings)
-
-    def _is_of_other_strategy(self, settings: ControllerSettings) -> bool:
-        in_force = self._settings
-        return (settings.strategy, settings.period) != (in_force.strategy, in_force.period)
 
     def observe(self, time: float, state: Vector) -> bool:
         """Take a measured state, shape (6,), of control time `time` [s]; False if it is outdated.
@@ -356,23 +331,11 @@ class Controller:
     @property
     def searches(self) -> bool:
         """Whether a plan is being searched for beside the loop; `is_due` tells when to use it."""
-        try:
-            return self._searching is not None and self._searching.searches
-        except BaseException as error:
-            return self._ask_no_more(error)
+        return self._planner.searches
 
     def is_due(self, now: float) -> bool:
         """Return whether there is a plan that begins at `now` [s] or before, to be decided on."""
-        try:
-            return self._searching is not None and self._searching.is_due(now)
-        except BaseException as error:
-            return self._ask_no_more(error)
-
-    def _ask_no_more(self, error: BaseException) -> bool:
-        """Record an error of a strategy that searches, which counts as another one from now on."""
-        self._searching = None
-        self._record(foreign_error(error))
-        return False
+        return self._planner.is_due(now)
 
     def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
         """Plan for the sampling instant `time` [s]; to be followed by `commit`.
@@ -412,13 +375,13 @@ class Controller:
         start = commands.earliest(now)
         sent = commands.rest_of(hold, start)
         if sent is None:
-            period, planned = self._settings.control_period, self._planned
+            period, planned = self._settings.control_period, self._planner.in_force
             late = start - decision.plan.hold.start > NEGLIGIBLE * self._settings.units.time
             if late and planned is not None and planned.is_certified:
                 sent = clear_command(
                     planned.situation, hold, commands, start, period, self._robot
                 )
-                self._planned = None  # it is not what is followed
+                self._planner.in_force = None  # it is not what is followed
             else:
                 sent = commands.joined(hold, start, period)
             stops = not decision.solved and decision.mode is not Kind.FALLBACK
@@ -430,7 +393,8 @@ class Controller:
         return sent
 
     def _decide(self, time: float, time_budget: float) -> Decision:
-        before, self._planned = self._planned, None
+        planner = self._planner
+        before, planner.in_force = planner.in_force, None
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Kind.NO_POSE, float("inf"))
@@ -472,8 +436,8 @@ class Controller:
         elif before is not None and before.stands(
             time, state, estimate.uncertainty,
             (active.leg, self._floor, estimate.plant, disturbance),
-        ) and not self.is_due(time):
-            self._planned, plan = before, before.plan
+        ) and not planner.is_due(time):
+            planner.in_force, plan = before, before.plan
             found = _mode_of(plan)
         else:
             found, plan = self._plan(time, estimate, active, time_budget)
@@ -540,13 +504,13 @@ class Controller:
             refused, was_refused = stop_if_refused(situation, self._robot), self._is_refused
             self._is_refused = refused is not None
             if self._is_refused and not was_refused:
-                self._reset_strategy()  # its plan leads on from where the stop does not
-            plan = refused or plan_of(self._strategy, situation, self._robot)
+                self._planner.reset()  # its plan leads on from where the stop does not
+            plan = refused or self._planner.plan(situation)
             plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
             motion = plan.made.motion
             self.plans += int(motion not in (0, self._followed))
             self._followed = motion
-            self._planned = InForce(plan, situation, self._robot)
+            self._planner.in_force = InForce(plan, situation, self._robot)
             return _mode_of(plan), plan
         except Exception as error:
             return Kind.FALLBACK.alone, self._fallback(time, estimate.state, error)
@@ -554,7 +518,7 @@ class Controller:
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         """Return the rest of the hold in force; on a floor, which may be another one, a stop."""
         message = self._record(error)
-        self._reset_strategy()
+        self._planner.reset()
         commands = self._commands
         rest = commands.in_force if self.floor.is_empty else commands.stop
         hold = self._hold_or_rest(rest, time)
@@ -580,43 +544,11 @@ class Controller:
             self._record(error)
             return FirstOrderHold.constant(time, np.zeros(INPUT_SIZE))
 
-    def _reset_strategy(self) -> None:
-        self._call_strategy(lambda: self._strategy.reset())
-
-    def _call_strategy(self, call: Callable[[], object]) -> None:
-        """Call the strategy; where that fails, a new one takes its place, without what it kept."""
-        self._planned = None
-        try:
-            called(call)
-        except Exception as error:
-            self._record(error)
-            self._renew_strategy()
-
-    def _renew_strategy(self) -> None:
-        """Put a new strategy in force; where it cannot be made, the one before stays."""
-        self._planned = None
-        try:
-            self._strategy = self._make_strategy()
-        except Exception as error:
-            self._record(error)
-
     def _begin_anew(self) -> None:
         """Forget the plan and where the sphere was, as the poses until now lead nowhere."""
         self._arrival.reset()
         self._progress.reset()
-        self._reset_strategy()
-
-    def _make_strategy(self) -> Strategy:
-        """Return a new strategy that searches beside the loop if it can, and there is a worker."""
-        prepared, self._prepared = self._prepared, None
-        if prepared is not None and prepared[0] == self._settings:
-            strategy = prepared[1]
-        else:
-            strategy = make_strategy(self._settings, self._robot, self._worker)
-        self._compares_goals = called(isinstance, strategy, SearchingStrategy)
-        searches = self._worker is not None and self._compares_goals
-        self._searching = cast(SearchingStrategy, strategy) if searches else None
-        return strategy
+        self._planner.reset()
 
 
 def _mode_of(plan: Plan) -> tuple[Condition, ...]:

@@ -309,7 +309,7 @@ def test_disturbance_and_floor_of_a_situation_cannot_be_written_to() -> None:
     controller = begun(floor=walled())
     controller.set_goal(NEAR)
     controller.commit(controller.decide(0.0), 0.0)
-    controller._strategy = Given(writes)
+    controller._planner.strategy = Given(writes)
     controller.observe(0.2, START)
     controller.decide(PERIOD)
     assert len(refused) == 6

@@ -115,7 +115,7 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
     x, y, yaw = grid.origin
     # Named, so that they live until the call has ended.
     arrays = (
-        constants.as_array(), disturbance.as_array(), np.diff(hold.times),
+        constants.as_array(), disturbance.as_array(), hold.durations,
         np.ascontiguousarray(hold.speeds), np.ascontiguousarray(situation.state), corners,
     )
     place = np.array((x, y, math.cos(yaw), math.sin(yaw), grid.resolution))

@@ -108,7 +108,7 @@ class ArrivalSolver:
         aware : bool, optional
             Whether the guess has that already.
         """
-        durations, knots = np.diff(guess.times), guess.speeds[1:]
+        durations, knots = guess.durations, guess.speeds[1:]
         if not aware and not is_zero(situation.momentum, situation.disturbance):
             knots = knots + self._compensation(situation, durations, knots)
         orientation = _demanded(situation, goal)
@@ -147,7 +147,7 @@ class ArrivalSolver:
             Another cap on iterations than that of the settings.
         """
         tuning = self.settings
-        durations = np.diff(guess.times)
+        durations = guess.durations
         steady, turns, rolling = 0, 0, SteadyRolling.of(situation.constants, self._max_speed)
         orientation = _demanded(situation, goal)
         if situation.has_small_momentum:
@@ -255,14 +255,14 @@ class ArrivalSolver:
 def rolled_out(plan: Plan, situation: Situation, hold: FirstOrderHold) -> Plan:
     """Return what follows from a hold, what remains of a plan as it is, in a situation."""
     states = roll_out(
-        situation.state, hold.speeds, np.diff(hold.times), situation.constants.as_array(),
+        situation.state, hold.speeds, hold.durations, situation.constants.as_array(),
         disturbance=situation.disturbance,
     )
     goal = replace(plan.leg.goal, pose=plan.leg.goal.nearest(states[-1], hold.end), since=hold.end)
     error = state_error(states[-1], nearer_sign(goal.pose, states[-1]))
     return replace(
         plan, hold=hold, states=states, leg=replace(plan.leg, goal=goal), error=error,
-        made=replace(plan.made, turns=0),
+        made=replace(plan.made, cost=error**2, turns=0),
     )
 
 
@@ -285,7 +285,6 @@ def _plan(
     return Plan(
         PlanStatus.SOLVED, hold, solution.states, Leg(replace(goal, pose=pose, since=hold.end)),
         error, made=Made(
-            iterations=solution.iterations, kkt_residual=solution.kkt_residual, work=work,
-            turns=turns,
+            error**2, solution.iterations, solution.kkt_residual, work, turns=turns
         ),
     )

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -102,6 +103,7 @@ def solved_again(
     plan = replace(
         plan, status=PlanStatus.SOLVED if reaches else PlanStatus.BEST_SO_FAR,
         leg=replace(own, goal=plan.leg.goal), made=replace(plan.made, motion=before.made.motion),
+        conditions=(Condition(Kind.PLANNED, f"a motion of {plan.duration:.2f} s"),),
     )
     made_for = followed.situation
     if not is_aimed:

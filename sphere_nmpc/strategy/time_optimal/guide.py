@@ -288,7 +288,7 @@ def _lines(
         if hold is None or not is_clear(situation, hold, Margin.STRAIGHT):
             continue
         states = roll_out(
-            situation.state, hold.speeds, np.diff(hold.times), constants.as_array()
+            situation.state, hold.speeds, hold.durations, constants.as_array()
         )
         goal = Goal(states[-1, POSE].copy(), Orientation.ANY, since=hold.end)
         yield Plan(PlanStatus.SOLVED, hold, states, Leg(goal), error=0.0)

@@ -74,7 +74,7 @@ class Grid:
     def split(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold in which only intervals after a manoeuvre are long."""
         times, until = hold.times, hold.start + _MANOEUVRE * self.unit + 4.0 * self.spacing
-        long = np.flatnonzero((np.diff(times) > 2.0 * self.spacing) & (times[:-1] < until))
+        long = np.flatnonzero((hold.durations > 2.0 * self.spacing) & (times[:-1] < until))
         if not long.size:
             return hold
         added = [times]
@@ -85,7 +85,7 @@ class Grid:
 
     def thinned(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold without the knots that are very near to the one before them."""
-        near = np.diff(hold.times) < _LEAST * self.spacing
+        near = hold.durations < _LEAST * self.spacing
         if not near.any() or near.size == 1:
             return hold
         kept = np.concatenate(([True], ~near[:-1], [True]))

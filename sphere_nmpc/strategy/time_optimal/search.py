@@ -264,7 +264,7 @@ class ArrivalSearch:
 
     def _lengthened(self, arrival: Plan, longer: float) -> FirstOrderHold:
         """Return the hold of an arrival with whole turns, rolling steadily for longer [s]."""
-        interval = int(np.argmax(np.diff(arrival.hold.times)))
+        interval = int(np.argmax(arrival.hold.durations))
         return without_turns(arrival.hold, interval, -longer)
 
     def _aim_near(self, known: Plan | None) -> None:
@@ -277,7 +277,7 @@ class ArrivalSearch:
             self._turns = max(0, int(beyond / rolling.turn_length))
         else:
             self._turns = known.made.turns
-            interval = int(np.argmax(np.diff(known.hold.times)))
+            interval = int(np.argmax(known.hold.durations))
             way = known.states[interval + 1, POSITION] - known.states[interval, POSITION]
         if self._turns:
             self._turn = rolling.turn_length / float(np.linalg.norm(way)) * way

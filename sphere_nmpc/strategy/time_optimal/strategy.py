@@ -135,11 +135,7 @@ class TimeOptimalStrategy:
         if isinstance(state, InForce):
             own, after = state.plan, state.after
             rest = held_at_its_end((after or state).plan, situation, robot.max_rotor_speed)
-            return replace(
-                rest if after is None else own.spliced(rest.hold, rest.states),
-                conditions=(Condition(Kind.PLANNED, f"a motion of {own.duration:.2f} s"),),
-                made=replace(own.made, cost=own.error**2),
-            )
+            return rest if after is None else own.spliced(rest.hold, rest.states)
         if isinstance(state, Saturated):
             return come_to_rest(
                 situation, robot, "saturated", PlanStatus.SATURATED,

@@ -222,15 +222,19 @@ class Strategy(Protocol):
         """
 
     def reset(self) -> None:
-        """Forget warm starts and plans, as after a new goal: the strategy then acts like new."""
+        """Forget warm starts and plans, as before another leg: the strategy then acts like new."""
 
 
 @runtime_checkable
 class SearchingStrategy(Protocol):
-    """Strategy that can search beside the control loop."""
+    """Strategy that can search beside the control loop.
+
+    It finds by `Course.origin` and `Situation.leg` that another goal is aimed at, and is not
+    `reset` then.
+    """
 
     def search_beside(self, worker: Worker) -> None:
-        """Search by a worker from now on; a new goal then needs no `Strategy.reset`."""
+        """Search by a worker from now on."""
 
     @property
     def searches(self) -> bool:

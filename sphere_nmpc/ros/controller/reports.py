@@ -108,16 +108,14 @@ class ControllerReports:
             self._is_outdated, self._warnings = True, ()
         self._publish_arrival()
 
-    def _publish_progress(self, time: float, epoch: int) -> bool:
-        """Publish the next goal of a list if the one before has been reached; return whether."""
+    def _publish_progress(self, time: float, epoch: int) -> None:
+        """Publish the next goal of a list if the one before has been reached."""
         active = self._controller.active
         if active is None or active.index == self._published_index:
-            return False
+            return
         count = len(active.course.legs)
         self._event_log.report("goal", f"{active.index} of {count} reached")
-        self.goal(stamp_of(time, epoch))
-        self.present()
-        return True
+        self.goal(stamp_of(time, epoch), is_new=False)
 
     @property
     def _mode(self) -> Kind:
@@ -221,8 +219,7 @@ class ControllerReports:
         elif mode is Kind.FALLBACK:
             self._fault_log.report(Kind.FALLBACK.log, plan.message)
         self._status_values.update(decision, time)
-        if self._publish_progress(time, epoch):
-            return  # the decision is about the goal before
+        self._publish_progress(time, epoch)
         self._publish_arrival()
         last, before = self._last_status
         if mode is before and 0.0 <= time - last < _STATUS_EVERY:

@@ -150,12 +150,12 @@ class Situation:
             in_force=self.in_force.delayed(-self.time),
         )
 
-    @property
+    @cached_property
     def constants(self) -> LumpedConstants:
         """Constants of the plant."""
         return self.plant.constants
 
-    @property
+    @cached_property
     def speeds(self) -> Vector:
         """Rotor speeds in force at that instant [rad/s], shape (2,)."""
         return self.in_force.speeds[0]
@@ -184,7 +184,7 @@ class Situation:
         """
         return max(self.floor.needed, self.radius)
 
-    @property
+    @cached_property
     def momentum(self) -> Vector:
         """Estimated momentum at that instant, shape (3,) [rad/s; world frame]."""
         return self.state[MOMENTUM]

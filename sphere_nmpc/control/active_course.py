@@ -7,7 +7,7 @@ from functools import cached_property
 
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.model.course import Course, Leg
-from sphere_nmpc.model.goal import STANDING, Goal
+from sphere_nmpc.model.goal import Goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class CourseInForce:
     def at(self, time: float) -> ActiveCourse | None:
         """Return it as it is to be expected from a control time [s] on."""
         known = self.active
-        if known is not None and known.goal.rate is not STANDING:
+        if known is not None:
             goal = current(known.goal, time)
             if goal is not known.goal:
                 course = known.course.aimed(known.index, goal)

@@ -28,7 +28,7 @@ from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.goal import STANDING, Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
@@ -414,7 +414,9 @@ class Controller:
         if self._is_carried:
             jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
             return Decision((jumped,), self._stop(time, jumped.kind), None, pose_age=age)
-        active, estimate = self._course.at(time), None
+        active, estimate = self._course.active, None
+        if active is not None and active.goal.rate is not STANDING:
+            active = self._course.at(time)
         failure: Exception = ArithmeticError("no estimate")
         try:
             estimate = self._estimator.estimate(time)

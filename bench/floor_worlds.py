@@ -72,7 +72,7 @@ def run(kind: str, seed: int, gap: float | None, options: dict[str, Any]) -> dic
         least = min(least, float(world.distances(own).min()) - robot.shell_radius)
     stay = stay_below(found.times, state_errors(found.states, goal), 1e-2)
     settled = None if stay is None else float(stay.since)
-    first = [d.plan.solve_time for d in found.decisions if d.mode is Kind.TRACKING][:1]
+    first = [d.plan.made.solve_time for d in found.decisions if d.mode is Kind.TRACKING][:1]
     _keep_path(options["paths"], f"{kind}_{seed}", found, goal, world.walls, world.discs)
     return {
         "kind": kind, "seed": seed, "gap": world.gap, "length": length, "settled": settled,

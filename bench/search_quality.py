@@ -38,7 +38,7 @@ def first_plan(
     """Return the duration of the first plan [s], infinite without one, and its wall time [s]."""
     settings = dataclasses.replace(ControllerSettings(), planning_effort=effort)
     strategy = make_strategy(settings, _ROBOT)
-    situation = Situation(
+    situation = Situation.of(
         0.0, without_momentum(scenario.start), scenario.goal, np.zeros(2), _ROBOT.lumped,
         time_budget=wall_time,
     )

@@ -2,29 +2,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """Length of the way through the code: calls, functions, files and records of an instant.
 
-Case 1 is rolled in a closed loop without ROS, and between controller node and simulator over DDS.
-Counted are calls into sphere_nmpc, distinct functions and files among them, and kinds of its
-records that are made; in the node without what is within the controller, which depends on the
-load. Figures are medians. Times are taken in a second pass, in thousands of additions of small
-NumPy arrays. The exit status is 1 where a count exceeds that of walk.json.
+Case 1 is rolled in a closed loop without ROS, in line and with a worker, and between controller
+node and simulator over DDS. Counted are calls into sphere_nmpc, distinct functions and files among
+them, and kinds of its records (dataclasses, named tuples) that are made, all with what the
+controller does. They are those of a typical instant: of each function the median of its calls
+counts, so that what few instants do, such as a search that begins, does not change the others.
+
+Counts depend neither on the load nor on the processor: durations are counted in readings of their
+clock, simulated time waits for commands on their way and for the worker's results, and what is
+made once for each size of a problem is made before. Not committed are ticks that solve with a
+search in line, whose effort depends on the last digits, and those of the node: there the instants
+at which a search of another process ends are by chance, and with them what is solved.
+
+Times are taken in a second pass, in thousands of additions of small NumPy arrays, and are medians.
+The exit status is 1 where a count exceeds that of walk.json.
 """
 
 import argparse
 import contextlib
+import itertools
 import json
 import math
-import os
-import sys
-import threading
 import time
-from collections import Counter, defaultdict
+from collections import Counter, deque
 from collections.abc import Callable
-from copy import deepcopy
-from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from types import FrameType
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import rclpy
@@ -34,11 +39,9 @@ from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from walk_meter import NEARLY, RESTING, SOLVED, Meter, Walk, after, counts_of
 
-import sphere_nmpc
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -47,6 +50,7 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.worker.contract import Reply, Result, Store, Task
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.simulator.node import SimulatorNode
@@ -57,153 +61,56 @@ from sphere_sim.world.simulator import Simulator
 
 COMMITTED = Path(__file__).with_name("walk.json")
 POSE, GOAL, KNOWN, MAP = "pose", "goal, to first decision", "goal, known", "map, to floor in force"
-FOLLOWED, RESTING, SOLVED = "tick, followed", "tick, resting", "tick, solved"
-REPORTED = "tick, with a status"
-_VARIES = {"loop": (SOLVED,), "node": (REPORTED,)}
-"""Not committed: searches in line depend on the last digits, and what is told on the load."""
+_VARIES = {"loop": (SOLVED, NEARLY), "node": (SOLVED, NEARLY)}
+"""What is not committed."""
 COUNTS = "calls", "functions", "files", "records"
 PATIENCE = 120.0
 """How long the nodes may take on a busy machine [s]."""
-_ROOT = os.path.dirname(sphere_nmpc.__file__) + os.sep
-_INLINED = "<listcomp>", "<setcomp>", "<dictcomp>"
-"""Frames that not every version of Python makes."""
 _PERIOD = 0.01
 """Control period [s]: a status is due at each fifth instant."""
 _DURATION = 7.0
 """Time of the closed loop [s], which arrives in it."""
-_GOALS, _KNOWN_GOALS, _MAPS = 5, 9, 3
+_LATE = 3
+"""Instants that a worker takes for a task in the loop without ROS."""
+_AWAITED = 0.5
+"""How long simulated time waits at an instant for tick, command and worker [s, wall]."""
+_READING = 2e-4
+"""Time between two readings of the clock of durations [s], where calls are counted."""
+_GOALS, _KNOWN_GOALS, _MAPS = 9, 9, 3
 _BETWEEN = 0.15
 """Wall time between two known goals [s]: each is told."""
 _START, _GOAL = PAPER_CASES[1].start, PAPER_CASES[1].goal
 
 
-@dataclass
-class Walk:
-    """Calls and records of one instant, and the time that it took [thousands of operations].
+class LateWorker:
+    """`Worker` that does a task some instants after it was submitted, between two instants."""
 
-    Calls of the controller are `inner`, where a node is walked: how it plans depends on the load.
-    """
+    available = True
 
-    calls: list[tuple[str, str]] = field(default_factory=list)
-    inner: list[tuple[str, str]] = field(default_factory=list)
-    records: set[str] = field(default_factory=set)
-    time: float = 0.0
+    def __init__(self) -> None:
+        self._store: Store = {}
+        self._waiting: deque[tuple[int, Task[Any], Reply[Any]]] = deque()
+        self._instant = 0
 
-    def counts(self) -> list[int]:
-        """Return the numbers of calls, functions, files and kinds of records."""
-        calls, files = self.calls, {file for file, _ in self.calls}
-        return [len(calls), len(set(calls)), len(files), len(self.records)]
+    def submit(self, task: Task[Result]) -> Reply[Result]:
+        """Queue a task."""
+        reply: Reply[Result] = Reply()
+        self._waiting.append((self._instant + _LATE, task, reply))
+        return reply
 
-    def all(self) -> list[tuple[str, str]]:
-        """Return all calls."""
-        return self.calls + self.inner
+    def poll(self) -> None:
+        """Return at once, as results arrive between two instants."""
 
-
-class Meter:
-    """Recorder of walks, by calls or by time, each sorted by its kind when it is over.
-
-    The walk to a first decision ends with it, within a callback.
-    """
-
-    def __init__(self, counts: bool) -> None:
-        self._counts = counts
-        self._now = Walk()
-        self._main = threading.get_ident()
-        self._cut_at: float | None = None
-        self._cuts = self._is_inner = False
-        self.decision: Any = None
-        """The newest decision in the present walk."""
-        self.walks: dict[str, list[Walk]] = defaultdict(list)
-        self._unit = _operations()
-
-    def of(self, controller: Controller) -> None:
-        """Keep what the controller of a node does apart, and take note of its decisions."""
-        def apart(function: Callable[..., Any]) -> Callable[..., Any]:
-            def call(*arguments: Any) -> Any:
-                self._is_inner = True
-                result = function(*arguments)
-                self._is_inner = False
-                if isinstance(result, Decision):
-                    self.decision = result
-                    if self._cuts:
-                        sys.setprofile(None)
-                        self._cut_at = time.perf_counter()
-                return result
-            return call
-
-        for name in ("observe", "decide", "commit"):
-            setattr(controller, name, apart(getattr(controller, name)))
-
-    def run(self, function: Callable[..., Any], *arguments: Any, cuts: bool = False) -> Any:
-        """Call a function as part of the present walk, which ends at a decision with `cuts`."""
-        self._cuts, self._cut_at = cuts, None
-        if self._counts:
-            threading.setprofile(self._record)
-            sys.setprofile(self._record)
-        began = time.perf_counter()
-        try:
-            return function(*arguments)
-        finally:
-            sys.setprofile(None)
-            threading.setprofile(None)
-            self._now.time += ((self._cut_at or time.perf_counter()) - began) / self._unit
-
-    def note(self, kind: str) -> None:
-        """Count what there is of the present walk as one of this kind; it goes on."""
-        self.walks[kind].append(deepcopy(self._now))
-
-    def end(self, kind: str | None) -> None:
-        """End the present walk, which is of this kind; None forgets it."""
-        if kind == FOLLOWED and any(file == "ros/diagnostics.py" for file, _ in self._now.calls):
-            kind = REPORTED
-        if kind is not None:
-            self.walks[kind].append(self._now)
-            if len(self.walks[kind]) % 50 == 0:
-                self._unit = _operations()
-        self._now, self.decision = Walk(), None
-
-    def end_tick(self) -> None:
-        """End the walk of a sampling instant."""
-        decision, kind = self.decision, None
-        if decision is not None and decision.mode is Kind.AT_GOAL:
-            kind = RESTING
-        elif decision is not None and decision.mode is Kind.TRACKING:
-            kind = SOLVED if decision.is_new else FOLLOWED
-        self.end(kind)
-
-    def take(self, other: "Meter") -> None:
-        """Append the present walk of another meter to that of this one."""
-        self._now.calls += other._now.calls
-        self._now.records |= other._now.records
-        self._now.time += other._now.time
-
-    def _record(self, frame: FrameType, event: str, _: object) -> None:
-        if event != "call":
-            return
-        file, name = frame.f_code.co_filename, frame.f_code.co_name
-        if file.startswith(_ROOT):
-            if name not in _INLINED:
-                is_inner = self._is_inner and threading.get_ident() == self._main
-                calls = self._now.inner if is_inner else self._now.calls
-                name = getattr(frame.f_code, "co_qualname", name)  # from Python 3.11 on
-                calls.append((file[len(_ROOT):], name))
-        elif file.startswith("<string>"):
-            made = frame.f_locals.get("_cls") or type(frame.f_locals.get("self"))
-            if made.__module__.startswith("sphere_nmpc") and not self._is_inner:
-                self._now.records.add(made.__name__)
+    def advance(self) -> None:
+        """Do the tasks that are due at the next instant."""
+        self._instant += 1
+        while self._waiting and self._waiting[0][0] <= self._instant:
+            _, task, reply = self._waiting.popleft()
+            reply.result, reply.ready = task(self._store), True
 
 
-def _operations() -> float:
-    """Return the time of a thousand additions of small arrays [s]."""
-    one, other = np.arange(9.0), np.ones(9)
-    began = time.perf_counter()
-    for _ in range(200):
-        one + other
-    return 5.0 * (time.perf_counter() - began)
-
-
-def walk_loop(counts: bool) -> dict[str, list[Walk]]:
-    """Return the walks in a closed loop without ROS."""
+def walk_loop(counts: bool, worker: LateWorker | None = None) -> dict[str, list[Walk]]:
+    """Return the walks in a closed loop without ROS; without a worker its work is in line."""
     meter = Meter(counts)
 
     class Walked(Controller):
@@ -221,6 +128,8 @@ def walk_loop(counts: bool) -> dict[str, list[Walk]]:
         def commit(self, *arguments: Any) -> Any:
             result = meter.run(super().commit, *arguments)
             meter.end_tick()
+            if worker is not None:
+                worker.advance()
             return result
 
     robot = RobotParameters()
@@ -228,7 +137,7 @@ def walk_loop(counts: bool) -> dict[str, list[Walk]]:
         SimulatorSettings(initial_state=tuple(_START)), robot, make_plant("rolling", robot, _START)
     )
     settings = ControllerSettings(strategy="time_optimal", control_rate=1.0 / _PERIOD)
-    run_closed_loop(simulator, Walked(settings, robot), _GOAL, _DURATION, _PERIOD)
+    run_closed_loop(simulator, Walked(settings, robot, worker=worker), _GOAL, _DURATION, _PERIOD)
     return meter.walks
 
 
@@ -254,16 +163,24 @@ class NodeWalk:
         self._node._fault_log._period = math.inf
         self._controller = self._node.controller
         self._floor = self._controller.floor
-        self._goals = 0
+        self._goals = self._ticks = 0
         self.meter.of(self._controller)
+        self._is_on_its_way = False
+        """Whether a command has not arrived at the simulator yet."""
+        self._replies: list[Reply[Any]] = []
+        """Those of the worker."""
+        after(self._controller, "commit", self._sent)
+        self._worker: Any = self._node._worker
+        after(self._worker, "submit", self._replies.append)
+        after(topics_of(self._simulator)["/rotor_trajectory"], "callback", self._arrived)
         record, meter = self._record, self.meter
         for timer in self._node.timers:
             is_clocked = timer.clock.clock_type == ClockType.ROS_TIME
             if is_clocked and timer.timer_period_ns == round(1e9 * _PERIOD):
-                record(timer, meter, meter.end_tick)
+                record(timer, meter, self._end_tick)
             elif timer.callback.__name__ == "_look":
                 record(timer, self._looks, self._end_look)
-        topics = {one.topic_name: one for one in self._node.subscriptions}
+        topics = topics_of(self._node)
         record(topics["/pose"], meter, lambda: meter.end(POSE))
         record(topics["/goal_pose"], meter, self._end_goal, cuts=True)
         record(topics["/map"], self._maps, lambda: None)
@@ -311,6 +228,21 @@ class NodeWalk:
 
         endpoint.callback = call
 
+    def _worker_is_busy(self) -> bool:
+        self._worker.poll()
+        self._replies[:] = [reply for reply in self._replies if reply.pending]
+        return bool(self._replies)
+
+    def _sent(self, hold: object) -> None:
+        self._is_on_its_way = hold is not None
+
+    def _arrived(self, _: None) -> None:
+        self._is_on_its_way = False
+
+    def _end_tick(self) -> None:
+        self.meter.end_tick()
+        self._ticks += 1
+
     def _end_goal(self) -> None:
         """End the walk of a goal; without a decision it is a known one."""
         self.meter.end(KNOWN if self.meter.decision is None else GOAL)
@@ -338,10 +270,30 @@ class NodeWalk:
         while not condition():
             if time.monotonic() > end:
                 raise RuntimeError(f"timed out after {PATIENCE:g} s")
-            controller, simulator = self._executors
-            self._simulator.work(simulator)
-            for _ in range(8):  # several callbacks an instant
-                controller.spin_once(timeout_sec=0.0)
+            now, ticks = self._simulator.simulator.now, self._ticks
+            self._simulator.work(self)  # type: ignore[arg-type]
+            has_advanced = self._simulator.simulator.now > now
+            awaited = time.monotonic() + _AWAITED
+            while time.monotonic() < awaited and (
+                (has_advanced and self._ticks == ticks)
+                or self._is_on_its_way or self._worker_is_busy()
+            ):
+                self.spin_once(1e-3)
+
+    def spin_once(self, timeout_sec: float) -> None:
+        """Call what is due in both nodes, as an executor of the simulator."""
+        end = time.monotonic() + timeout_sec
+        while True:
+            for executor in self._executors:
+                executor.spin_once(timeout_sec=0.0)
+            if time.monotonic() >= end:
+                break
+            time.sleep(2e-4)
+
+
+def topics_of(node: Node) -> dict[str, Any]:
+    """Return the subscriptions of a node by their topics."""
+    return {one.topic_name: one for one in node.subscriptions}
 
 
 def _parameters(**values: Any) -> list[Parameter]:
@@ -358,24 +310,17 @@ def walk_nodes(counts: bool) -> dict[str, list[Walk]]:
         return nodes.run()
 
 
-def medians(walks: dict[str, list[Walk]]) -> dict[str, list[int]]:
-    """Return the counts of each kind of instant."""
-    counts = {kind: [walk.counts() for walk in some] for kind, some in walks.items()}
-    return {kind: np.median(some, axis=0).astype(int).tolist() for kind, some in counts.items()}
-
-
-def table(found: dict[str, Any], limits: dict[str, Any], walks: Any, times: Any) -> list[str]:
+def table(found: dict[str, Any], limits: dict[str, Any], times: Any) -> list[str]:
     """Return the rows of the table, with the committed count where it is exceeded."""
-    head = ["", *COUNTS, "calls with the controller's", "1000 operations"]
+    head = ["", *COUNTS, "1000 operations"]
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for place, kinds in found.items():
         for kind, counts in kinds.items():
             most = limits.get(place, {}).get(kind, counts)
             cells = [str(n) if n <= limit else f"{n} > {limit}"
                      for n, limit in zip(counts, most, strict=True)]
-            total = median(len(walk.all()) for walk in walks[place][kind])
             timed = [walk.time for walk in times.get(place, {}).get(kind, [])]
-            cells += [f"{total:.0f}", f"{median(timed):.2f}" if timed else ""]
+            cells.append(f"{median(timed):.2f}" if timed else "")
             lines.append(f"| {place}: {kind} | {' | '.join(cells)} |")
     return lines
 
@@ -395,25 +340,34 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--counts", action="store_true", help="take no times")
     parser.add_argument("--profile", metavar="KIND", help="list functions by number of calls")
     options = parser.parse_args(arguments)
-    ways = {"loop": walk_loop, "node": walk_nodes}
-    walks: dict[str, dict[str, list[Walk]]] = {place: way(True) for place, way in ways.items()}
+    ways: dict[str, Callable[[bool], dict[str, list[Walk]]]] = {
+        "loop": walk_loop,  # first, as what is made once for each size is made here
+        "with a worker": lambda counts: walk_loop(counts, LateWorker()),
+        "node": walk_nodes,
+    }
+    readings = itertools.count()
+    with mock.patch("time.perf_counter", lambda: _READING * next(readings)):
+        walks = {place: way(True) for place, way in ways.items()}
     if options.profile:
         for place, kinds in walks.items():
             for kind in (kind for kind in kinds if kind.startswith(options.profile)):
-                calls = Counter(call for walk in kinds[kind] for call in walk.all())
+                calls = Counter(call for walk in kinds[kind] for call in walk.calls)
                 print(f"\n{place}: {kind}, calls an instant in the mean")
                 for (file, name), number in calls.most_common():
                     print(f"{number / len(kinds[kind]):8.2f} {file}: {name}")
         return 0
     times = {} if options.counts else {place: way(False) for place, way in ways.items()}
-    found = {place: medians(kinds) for place, kinds in walks.items()}
+    found = {
+        place: {kind: counts_of(some) for kind, some in kinds.items()}
+        for place, kinds in walks.items()
+    }
     limits = found if options.update else json.loads(COMMITTED.read_text())
-    print("\n".join(table(found, limits, walks, times)))
+    print("\n".join(table(found, limits, times)))
     if options.update:
         places = (
             f' "{place}": {{\n' + ",\n".join(
                 f'  "{kind}": {counts}' for kind, counts in kinds.items()
-                if kind not in _VARIES[place]
+                if kind not in _VARIES.get(place, ())
             ) + "\n }" for place, kinds in found.items()
         )
         COMMITTED.write_text("{\n" + ",\n".join(places) + "\n}\n")

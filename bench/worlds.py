@@ -17,7 +17,7 @@ from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import route_to
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import POSITION, Vector
 
 KINDS = ("discs", "rooms", "doors", "maze", "trap", "corridor")
 SIDE = 10.0
@@ -177,14 +177,33 @@ def draw_task(
         if world.kind == "trap":
             places[0] = (4.3, world.walls[0][1] + 1.0)
             places[1] = (rng.uniform(6.0, 9.0), rng.uniform(2.0, 8.0))
-        far = np.linalg.norm(places[1] - places[0]) > 2.0
-        if not far or np.any(floor.distances(places) < floor.needed):
-            continue
-        path = route_to(floor, places[1]).path(places[0])
-        if len(path) and floor.distances(path).min() >= floor.needed + 0.012:
-            length = float(np.sum(np.linalg.norm(np.diff(_pulled(floor, path), axis=0), axis=1)))
+        length = way_length(floor, *places)
+        if length is not None:
             start, goal = (np.concatenate((place, random_quaternion(rng))) for place in places)
             return start, goal, length
+
+
+def draw_poses(
+    world: World, floor: Floor, rng: np.random.Generator, count: int
+) -> list[Vector]:
+    """Draw two or more states, shape (6,), each connected with the one before."""
+    poses = list(draw_task(world, floor, rng)[:2])
+    while len(poses) < count:
+        place = rng.uniform(0.0, SIDE, 2)
+        if way_length(floor, poses[-1][POSITION], place) is not None:
+            poses.append(np.concatenate((place, random_quaternion(rng))))
+    return poses
+
+
+def way_length(floor: Floor, start: Vector, goal: Vector) -> float | None:
+    """Return the length of the way between places, (2,) [m]; None if near or not connected."""
+    far = np.linalg.norm(goal - start) > 2.0
+    if not far or np.any(floor.distances(np.stack((start, goal))) < floor.needed):
+        return None
+    path = route_to(floor, goal).path(start)
+    if not len(path) or floor.distances(path).min() < floor.needed + 0.012:
+        return None
+    return float(np.sum(np.linalg.norm(np.diff(_pulled(floor, path), axis=0), axis=1)))
 
 
 def _pulled(floor: Floor, path: Vector) -> Vector:

@@ -19,7 +19,7 @@ from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.world.settings import SimulatorSettings
 from sphere_sim.world.simulator import Simulator
@@ -59,13 +59,13 @@ class RollTo:
 
         def speeds(scaled: Vector) -> Vector:
             planned = self._limit * scaled.reshape(KNOTS, 2)
-            return np.vstack((situation.input_in_force, planned))
+            return np.vstack((situation.speeds, planned))
 
         def states(scaled: Vector) -> Vector:
             return roll_out(situation.state, speeds(scaled), durations, constants.as_array())
 
         def residuals(scaled: Vector) -> Vector:
-            away = states(scaled)[1:, POSITION] - situation.goal[POSITION]
+            away = states(scaled)[1:, POSITION] - situation.goal.pose[POSITION]
             away[-1] *= TERMINAL_WEIGHT
             return np.append(away / constants.shell_radius, INPUT_WEIGHT * scaled)
 
@@ -76,7 +76,8 @@ class RollTo:
         found = least_squares(residuals, inside, bounds=(-1.0, 1.0), max_nfev=EVALUATIONS)
         self._last = FirstOrderHold(times, speeds(found.x))
         # The loop limits the accelerations, ends the plan at rest, and certifies it on a map.
-        return Plan(PlanStatus.SOLVED, self._last, states(found.x), cost=found.cost)
+        made = Made(cost=found.cost)
+        return Plan(PlanStatus.SOLVED, self._last, states(found.x), made=made)
 
 
 def main() -> None:

@@ -73,6 +73,11 @@ class Kind(Enum):
     """The goal is occupied, or too near to what is."""
     NO_WAY = "no way", OK, "", 208
 
+    PLANNED = "planned", OK
+    """What a plan does, or why it does no more."""
+    GIVEN_UP = "given up", OK
+    """What a plan gives up of the goal, for now."""
+
     ROTORS_AT_LIMIT = "rotors at their limit", WARN
     ROTORS_NEAR_LIMIT = "rotors near their limit", WARN
     CONTROLLER_FAILED = "controller failed", WARN

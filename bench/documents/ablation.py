@@ -29,7 +29,7 @@ from unittest.mock import patch
 import numpy as np
 from tables import header, in_processes, row
 
-from sphere_nmpc.control import controller
+from sphere_nmpc.control import planner
 from sphere_nmpc.estimation import estimator
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.library_threads import limit_library_threads
@@ -211,7 +211,7 @@ def measured(
     if isinstance(numbers, EstimatorSettings):
         of_estimator = numbers
     with ExitStack() as patches:
-        patches.enter_context(patch.object(controller, "make_strategy", tuned))
+        patches.enter_context(patch.object(planner, "make_strategy", tuned))
         patches.enter_context(patch.object(estimator, "TABLE_1_NUMBERS", of_estimator))
         if isinstance(numbers, Constants):
             numbers.apply(patches)

@@ -10,8 +10,8 @@ from typing import cast
 import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.keeping_clear import clear_command, clear_plan, stop_if_refused
 from sphere_nmpc.control.link import NEGLIGIBLE, REACH, Commands, RotorFeedback
 from sphere_nmpc.control.monitors import (
@@ -19,20 +19,21 @@ from sphere_nmpc.control.monitors import (
     Progress,
     relative_error,
 )
-from sphere_nmpc.control.planned import Planned
+from sphere_nmpc.control.planner import Planner
 from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.foreign_code import called, foreign_error
+from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal, GoalSequence
+from sphere_nmpc.model.goal import STANDING, Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
+    POSE,
     POSITION,
     STATE_SIZE,
     Vector,
@@ -42,13 +43,8 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.model.torque import within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.native.library import library
-from sphere_nmpc.strategy.contract import (
-    SearchingStrategy,
-    Situation,
-    Strategy,
-    make_strategy,
-    plan_of,
-)
+from sphere_nmpc.strategy.contract import Situation, Strategy
+from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 from sphere_nmpc.worker.contract import Worker
@@ -60,7 +56,7 @@ _OVERSPEED = 2.0
 class Controller:
     """Control loop of estimation, planning and commands; it never raises while running.
 
-    A plan is kept while nothing is new, see `Planned`. Each command ends at rest, so that the
+    A plan is kept while nothing is new, see `InForce`. Each command ends at rest, so that the
     hold in force can safely be followed to its end: if an estimate or a solve fails, it stays in
     force. Without a goal, a pose or permission the sphere
     stops on the path of that hold; with momentum the rotors stop, and the sphere rolls on.
@@ -88,11 +84,11 @@ class Controller:
         library()  # it is loaded, or its absence told, here and not at the first instant
         self._settings = settings = settings.of(robot)
         robot = self._robot = within_torque(robot)
-        self._worker = worker
-        self._searching: SearchingStrategy | None = None
-        self._prepared: tuple[ControllerSettings, Strategy] | None = None
-        """A strategy that was made for other settings, which are not in force yet."""
-        self._strategy = strategy or self._make_strategy()
+        self.failures = 0
+        """Errors since the start in the processing of poses, estimates, plans and commands."""
+        self.last_failure = ""
+        """Message of the newest of these errors."""
+        self._planner = Planner(settings, robot, self._record, strategy, worker)
         self._commands = Commands(robot)
         self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
         """What measured rotor speeds tell about the commands on their way."""
@@ -100,8 +96,7 @@ class Controller:
             settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
         )
         self._floor = Floor.EMPTY
-        self._goal_sequence: GoalSequence | None = None
-        self._motion = GoalMotion()
+        self._course = CourseInForce()
         self._arrival = ArrivalDetector()
         self._progress = Progress(robot)
         self._interrupted = False
@@ -116,14 +111,8 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
-        self._planned: Planned | None = None
-        """The newest plan, with what it was made for; None after a decision without one."""
         self._is_refused = False
         """Whether the goal was refused at the last sampling instant with a plan."""
-        self.failures = 0
-        """Errors since the start in the processing of poses, estimates, plans and commands."""
-        self.last_failure = ""
-        """Message of the newest of these errors."""
 
     @property
     def enabled(self) -> bool:
@@ -167,19 +156,20 @@ class Controller:
         return self._arrival.took
 
     @property
-    def goal_sequence(self) -> GoalSequence | None:
-        """The goals in force, or None."""
-        return self._goal_sequence
+    def active(self) -> ActiveCourse | None:
+        """The course in force, or None."""
+        return self._course.active
 
     @property
     def goal(self) -> Vector | None:
         """Pose of the goal that is aimed at, shape (6,), or None."""
-        return None if self._goal_sequence is None else self._goal_sequence.goal.pose.copy()
+        active = self._course.active
+        return None if active is None else active.goal.pose.copy()
 
     def goal_speed(self, time: float) -> float:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
-        goal = self._goal_at(time)
-        return 0.0 if goal is None else float(np.linalg.norm(goal.rate[POSITION]))
+        active = self._course.at(time)
+        return 0.0 if active is None else float(np.linalg.norm(active.goal.rate[POSITION]))
 
     def remaining(self, time_left: float, way_left: float) -> tuple[float, float]:
         """Return time [s] and way [m] to the last of the goals; nan without goal or pose.
@@ -187,13 +177,13 @@ class Controller:
         To the goal that is aimed at they are those of the plan, where they are known, that is not
         nan; otherwise, and from goal to goal, those of rolling straight from rest to rest.
         """
-        goals, newest = self._goal_sequence, self._estimator.newest
-        if goals is None or newest is None:
+        active, newest = self._course.active, self._estimator.newest
+        if active is None or newest is None:
             return math.nan, math.nan
         rolling = SteadyRolling.of(
             self._estimator.plant.constants, self._robot.max_rotor_speed
         )
-        ahead = (goal.pose[POSITION] for goal in goals.goals[goals.index :])
+        ahead = (leg.goal.pose[POSITION] for leg in active.course.legs[active.index :])
         places = np.array([newest[1][POSITION], *ahead])
         ways: list[float] = np.linalg.norm(np.diff(places, axis=0), axis=1).tolist()
         if not math.isnan(way_left):
@@ -203,79 +193,49 @@ class Controller:
             times[0] = 0.0 if math.isnan(time_left) else time_left
         return sum(times), sum(ways)
 
-    def _goal_at(self, time: float) -> Goal | None:
-        """Return the goal that is aimed at, as it is to be expected from `time` [s] on."""
-        goals = self._goal_sequence
-        if goals is None:
-            return None
-        given = goals.goal
-        goal = current(given, time)
-        if goal is not given:
-            self._goal_sequence = replace(
-                goals, goals=tuple(goal if one is given else one for one in goals.goals)
-            )
-        return goal
-
-    def set_goal(self, goal: Vector | Goal) -> bool:
-        """Track one goal, or a goal state, shape (6,), with all of its orientation: `set_goals`.
+    def set_goal(self, goal: Vector | Goal | Course) -> bool:
+        """Track one goal, or a goal state, shape (6,), with all of its orientation, or a course.
 
         Raises
         ------
         InvalidStateError
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
-        one = goal if isinstance(goal, Goal) else Goal(as_state(goal))
-        return self.set_goals(GoalSequence((one,)))
+        if not isinstance(goal, Course):
+            goal = Course.of(goal if isinstance(goal, Goal) else Goal(as_state(goal)))
+        return self.follow(ActiveCourse(goal))
 
-    def set_goals(self, goals: GoalSequence, time: float | None = None) -> bool:
-        """Visit other goals, from the next sampling instant on.
+    def follow(self, course: ActiveCourse, time: float | None = None) -> bool:
+        """Follow another course, from the next sampling instant on.
 
-        False if they are those in force; the present plan and their progress are then kept, unless
-        all of a list have been visited. A single goal that is given again and again may differ a
-        little each time, where the control time `time` [s] is known for which it is given.
+        False if it is the one in force, see `CourseInForce.take`; the present plan and its
+        progress are then kept.
         """
-        known = self._goal_sequence
-        if time is not None and len(goals.goals) == 1:
-            goal, is_other = self._motion.update(time, goals.goal)
-            goals = replace(goals, goals=(goal,))
-            if known is not None and not is_other:
-                self._goal_sequence = goals
-                return False
-        else:
-            self._motion = GoalMotion()
-        if known is not None and known.lists_same(goals):
-            visited = known.index > 0 and self.at_goal
-            if not visited:
-                self._goal_sequence = replace(known, stamp=goals.stamp)
-                return False
-        self._aim(goals)
-        return True
+        is_other = self._course.take(course, time, self.at_goal)
+        if is_other:
+            self._aim()
+        return is_other
 
     def cancel(self) -> bool:
         """Give up the goals: the sphere stops on its path. False if there was none."""
-        if self._goal_sequence is None:
+        if not self._course.clear():
             return False
-        self._goal_sequence, self._motion = None, GoalMotion()
         self._begin_anew()
         return True
 
-    def _aim(self, goals: GoalSequence) -> None:
-        """Aim at a goal of a sequence."""
-        self._goal_sequence = goals
+    def _aim(self) -> None:
+        """Aim at another goal."""
         self._arrival = ArrivalDetector()
         self._progress.reset()
-        if self._searching is None:
-            self._reset_strategy()
+        if not self._planner.compares_goals:
+            self._planner.reset()
 
     def prepare(self, settings: ControllerSettings) -> None:
         """Make the strategy of settings that `change` is given next, where it is another one.
 
         `InvalidParameterError` is raised if it cannot be made.
         """
-        settings = settings.of(self._robot)
-        is_prepared = self._prepared is not None and self._prepared[0] == settings
-        if self._is_of_other_strategy(settings) and not is_prepared:
-            self._prepared = settings, make_strategy(settings, self._robot, self._worker)
+        self._planner.prepare(settings.of(self._robot))
 
     def change(self, settings: ControllerSettings) -> None:
         """Take over settings that may change while running.
@@ -284,18 +244,10 @@ class Controller:
         estimates that the change does not concern. `InvalidParameterError` is raised, and nothing
         changes, if there is another strategy and it cannot be made.
         """
-        self.prepare(settings)
         settings = settings.of(self._robot)
-        is_other, self._settings = self._is_of_other_strategy(settings), settings
-        if is_other:
-            self._renew_strategy()
-        else:
-            self._call_strategy(lambda: self._strategy.change(settings))
+        self._planner.change(settings)
+        self._settings = settings
         self._estimator.change(settings)
-
-    def _is_of_other_strategy(self, settings: ControllerSettings) -> bool:
-        in_force = self._settings
-        return (settings.strategy, settings.period) != (in_force.strategy, in_force.period)
 
     def observe(self, time: float, state: Vector) -> bool:
         """Take a measured state, shape (6,), of control time `time` [s]; False if it is outdated.
@@ -373,29 +325,17 @@ class Controller:
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
-        known = self._goal_sequence is not None and self._estimator.newest is not None
+        known = self._course.active is not None and self._estimator.newest is not None
         return known and self.enabled and self.is_at_rest(now)
 
     @property
     def searches(self) -> bool:
         """Whether a plan is being searched for beside the loop; `is_due` tells when to use it."""
-        try:
-            return self._searching is not None and self._searching.searches
-        except BaseException as error:
-            return self._ask_no_more(error)
+        return self._planner.searches
 
     def is_due(self, now: float) -> bool:
         """Return whether there is a plan that begins at `now` [s] or before, to be decided on."""
-        try:
-            return self._searching is not None and self._searching.is_due(now)
-        except BaseException as error:
-            return self._ask_no_more(error)
-
-    def _ask_no_more(self, error: BaseException) -> bool:
-        """Record an error of a strategy that searches, which counts as another one from now on."""
-        self._searching = None
-        self._record(foreign_error(error))
-        return False
+        return self._planner.is_due(now)
 
     def decide(self, time: float, time_budget: float = float("inf")) -> Decision:
         """Plan for the sampling instant `time` [s]; to be followed by `commit`.
@@ -435,13 +375,13 @@ class Controller:
         start = commands.earliest(now)
         sent = commands.rest_of(hold, start)
         if sent is None:
-            period, planned = self._settings.control_period, self._planned
+            period, planned = self._settings.control_period, self._planner.in_force
             late = start - decision.plan.hold.start > NEGLIGIBLE * self._settings.units.time
             if late and planned is not None and planned.is_certified:
                 sent = clear_command(
                     planned.situation, hold, commands, start, period, self._robot
                 )
-                self._planned = None  # it is not what is followed
+                self._planner.in_force = None  # it is not what is followed
             else:
                 sent = commands.joined(hold, start, period)
             stops = not decision.solved and decision.mode is not Kind.FALLBACK
@@ -453,7 +393,8 @@ class Controller:
         return sent
 
     def _decide(self, time: float, time_budget: float) -> Decision:
-        before, self._planned = self._planned, None
+        planner = self._planner
+        before, planner.in_force = planner.in_force, None
         newest = self._estimator.newest
         if newest is None:
             return self._without_pose(time, Kind.NO_POSE, float("inf"))
@@ -473,7 +414,9 @@ class Controller:
         if self._is_carried:
             jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
             return Decision((jumped,), self._stop(time, jumped.kind), None, pose_age=age)
-        aim, estimate = self._goal_at(time), None
+        active, estimate = self._course.active, None
+        if active is not None and active.goal.rate is not STANDING:
+            active = self._course.at(time)
         failure: Exception = ArithmeticError("no estimate")
         try:
             estimate = self._estimator.estimate(time)
@@ -484,30 +427,31 @@ class Controller:
         else:
             state, covariance = estimate.state, estimate.covariance
             disturbance = estimate.disturbance
-        goal = None if aim is None else aim.nearest(state, time)
-        if aim is None or goal is None or not self._enabled:
+        if active is not None and not active.is_last and estimate is not None and self._enabled:
+            active = self._on_its_leg(time, active, estimate, before)
+        goal = None if active is None else active.goal.nearest(state, time)
+        if active is None or goal is None or not self._enabled:
             mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED
             found, plan = mode.alone, self._stop(time, mode, state)
         elif estimate is None:
             found, plan = Kind.FALLBACK.alone, self._fallback(time, state, failure)
-        elif before is not None and before.stands(time, estimate, aim, self.floor) and not (
-            self.is_due(time)
-        ):
-            self._planned, found, plan = before, before.conditions, before.plan
+        elif before is not None and before.stands(
+            time, state, estimate.uncertainty,
+            (active.leg, self._floor, estimate.plant, disturbance),
+        ) and not planner.is_due(time):
+            planner.in_force, plan = before, before.plan
+            found = _mode_of(plan)
         else:
-            found, plan = self._plan(time, estimate, aim, goal, time_budget)
+            found, plan = self._plan(time, estimate, active, time_budget)
         decision = Decision(
             found, plan, state, goal, age, covariance, state[MOMENTUM], disturbance,
             is_new=before is None or plan is not before.plan,
         )
         settings = self._settings
-        away = relative_error(decision, settings)
-        if self._is_refused and decision.solved:
+        away = relative_error(decision.state, goal, settings)
+        if (self._is_refused and decision.solved) or (active and not active.is_last):
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
-        reached, goals = self._arrival.update(time, away, settings.period), self._goal_sequence
-        if reached and goals is not None and not goals.is_last:
-            self._aim(replace(goals, index=goals.index + 1))
-            return decision
+        reached = self._arrival.update(time, away, settings.period)
         arrived = reached and found is Kind.TRACKING.alone
         if goal is None or arrived or not decision.solved:
             self._progress.reset()
@@ -520,6 +464,29 @@ class Controller:
         # First, as one that stands does not roll with saturated rotors.
         return replace(decision, conditions=(missing, *found))
 
+    def _on_its_leg(
+        self, time: float, active: ActiveCourse, estimate: Estimate, before: InForce | None
+    ) -> ActiveCourse:
+        """Return the course with the leg that is followed from now on.
+
+        A goal with others after it is reached where the sphere is within the tolerance, or has
+        passed it since the last instant: where it is then is compared with what is planned.
+        """
+        state, settings, goal = estimate.state, self._settings, active.goal
+        while not (active.is_last or self._is_refused):
+            away = relative_error(state, goal.nearest(state, time), settings)
+            if not away < 1.0:
+                if before is None or not before.is_for(active.course, active.index):
+                    break
+                is_past = before.plan.end <= time and before.plan.status is PlanStatus.SOLVED
+                if not is_past or not relative_error(state, before.at(time)[POSE], settings) < 1.0:
+                    break
+            self._course.advance()
+            self._aim()
+            active = cast(ActiveCourse, self._course.at(time))
+            goal, before = active.goal, None
+        return active
+
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self._estimator
         return Decision(
@@ -528,39 +495,36 @@ class Controller:
         )
 
     def _plan(
-        self, time: float, estimate: Estimate, aim: Goal, goal: Vector, time_budget: float
+        self, time: float, estimate: Estimate, active: ActiveCourse, time_budget: float
     ) -> tuple[tuple[Condition, ...], Plan]:
         try:
-            plant = estimate.plant
             situation = Situation(
-                time, estimate.state, goal, self.speeds_at(time), plant.constants, plant.noise,
-                estimate.uncertainty, time_budget, estimate.disturbance, plant.acceleration,
-                plant.slippery, aim.orientation, aim.rate, self.floor,
-                estimate.place_deviation, self._commands.sent.newest,
+                time, estimate.state, active.course, self._commands.in_force(time),
+                estimate.plant, estimate.disturbance, self._floor, active.index,
+                estimate.covariance, time_budget,
             )
             refused, was_refused = stop_if_refused(situation, self._robot), self._is_refused
             self._is_refused = refused is not None
             if self._is_refused and not was_refused:
-                self._reset_strategy()  # its plan leads on from where the stop does not
-            plan = refused or plan_of(self._strategy, situation, self._robot)
+                self._planner.reset()  # its plan leads on from where the stop does not
+            plan = refused or self._planner.plan(situation)
             plan = clear_plan(situation, plan, self._robot, self._settings.strategy)
-            self.plans += int(plan.motion not in (0, self._followed))
-            self._followed = plan.motion
-            saturated = plan.status is PlanStatus.SATURATED
-            found = (Kind.SATURATED if saturated else Kind.TRACKING).alone
-            self._planned = Planned(found, plan, situation, aim, plant)
-            return found, plan
+            motion = plan.made.motion
+            self.plans += int(motion not in (0, self._followed))
+            self._followed = motion
+            self._planner.in_force = InForce(plan, situation, self._robot)
+            return _mode_of(plan), plan
         except Exception as error:
             return Kind.FALLBACK.alone, self._fallback(time, estimate.state, error)
 
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         """Return the rest of the hold in force; on a floor, which may be another one, a stop."""
         message = self._record(error)
-        self._reset_strategy()
+        self._planner.reset()
         commands = self._commands
         rest = commands.in_force if self.floor.is_empty else commands.stop
         hold = self._hold_or_rest(rest, time)
-        return Plan(PlanStatus.FALLBACK, hold, _states(state), message=message)
+        return _unplanned(PlanStatus.FALLBACK, hold, state, message)
 
     def _record(self, error: Exception) -> str:
         """Count an error and return its message."""
@@ -570,7 +534,7 @@ class Controller:
 
     def _stop(self, time: float, mode: Kind, state: Vector | None = None) -> Plan:
         hold = self._hold_or_rest(self._commands.stop, time)
-        return Plan(PlanStatus.RAMP_TO_REST, hold, _states(state), message=mode.value)
+        return _unplanned(PlanStatus.RAMP_TO_REST, hold, state, mode.value)
 
     def _hold_or_rest(
         self, command: Callable[[float], FirstOrderHold], time: float
@@ -582,43 +546,22 @@ class Controller:
             self._record(error)
             return FirstOrderHold.constant(time, np.zeros(INPUT_SIZE))
 
-    def _reset_strategy(self) -> None:
-        self._call_strategy(lambda: self._strategy.reset())
-
-    def _call_strategy(self, call: Callable[[], object]) -> None:
-        """Call the strategy; where that fails, a new one takes its place, without what it kept."""
-        self._planned = None
-        try:
-            called(call)
-        except Exception as error:
-            self._record(error)
-            self._renew_strategy()
-
-    def _renew_strategy(self) -> None:
-        """Put a new strategy in force; where it cannot be made, the one before stays."""
-        self._planned = None
-        try:
-            self._strategy = self._make_strategy()
-        except Exception as error:
-            self._record(error)
-
     def _begin_anew(self) -> None:
         """Forget the plan and where the sphere was, as the poses until now lead nowhere."""
         self._arrival.reset()
         self._progress.reset()
-        self._reset_strategy()
-
-    def _make_strategy(self) -> Strategy:
-        """Return a new strategy that searches beside the loop if it can, and there is a worker."""
-        prepared, self._prepared = self._prepared, None
-        if prepared is not None and prepared[0] == self._settings:
-            strategy = prepared[1]
-        else:
-            strategy = make_strategy(self._settings, self._robot, self._worker)
-        searches = self._worker is not None and called(isinstance, strategy, SearchingStrategy)
-        self._searching = cast(SearchingStrategy, strategy) if searches else None
-        return strategy
+        self._planner.reset()
 
 
-def _states(state: Vector | None) -> Vector:
-    return np.empty((0, STATE_SIZE)) if state is None else state[None, :]
+def _mode_of(plan: Plan) -> tuple[Condition, ...]:
+    """Return how things stand where a plan of the strategy is followed."""
+    saturated = plan.status is PlanStatus.SATURATED
+    return (Kind.SATURATED if saturated else Kind.TRACKING).alone
+
+
+def _unplanned(
+    status: PlanStatus, hold: FirstOrderHold, state: Vector | None, message: str
+) -> Plan:
+    """Return a plan of the loop itself."""
+    states = np.empty((0, STATE_SIZE)) if state is None else state[None, :]
+    return Plan(status, hold, states, conditions=(Condition(Kind.PLANNED, message),))

@@ -81,7 +81,7 @@ class Decision:
     @property
     def solve_time(self) -> float:
         """Wall time that was spent on the plan at this instant [s], steady clock."""
-        return self.plan.solve_time if self.is_new else 0.0
+        return self.plan.made.solve_time if self.is_new else 0.0
 
     @property
     def position_deviation(self) -> float:

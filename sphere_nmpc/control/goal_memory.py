@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
+from sphere_nmpc.control.active_course import ActiveCourse
+from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import as_state
 from sphere_nmpc.own_folder import KeptFile
 
 
-def goal_memory(path: Path, keep: float) -> KeptFile[GoalSequence]:
+def goal_memory(path: Path, keep: float) -> KeptFile[ActiveCourse]:
     """Return the file that stores the goals, with the time at which they were last in force.
 
     They are resumed within the time `keep` [s, wall].
@@ -19,16 +21,17 @@ def goal_memory(path: Path, keep: float) -> KeptFile[GoalSequence]:
     return KeptFile(path, keep, _content, _goals)
 
 
-def _content(goals: GoalSequence) -> Mapping[str, Any]:
+def _content(active: ActiveCourse) -> Mapping[str, Any]:
+    goals = active.course.goals
     return {
-        "goals": [[goal.orientation.value, *goal.pose.tolist()] for goal in goals.goals],
-        "goal_stamp": goals.stamp, "index": goals.index,
+        "goals": [[goal.orientation.value, *goal.pose.tolist()] for goal in goals],
+        "goal_stamp": active.stamp, "index": active.index,
     }
 
 
-def _goals(content: Any) -> GoalSequence:
+def _goals(content: Any) -> ActiveCourse:
     goals = tuple(Goal(as_state(pose), Orientation(kind)) for kind, *pose in content["goals"])
     index = max(0, int(content["index"]))
-    sequence = GoalSequence(goals, int(content["goal_stamp"]), index)
-    _ = sequence.goal  # an IndexError without it
-    return sequence
+    active = ActiveCourse(Course.of(*goals), int(content["goal_stamp"]), index)
+    _ = active.leg  # an IndexError without it
+    return active

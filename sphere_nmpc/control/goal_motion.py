@@ -106,7 +106,8 @@ class GoalMotion:
             while len(self._given) > _LEAST - 1:
                 self._given.popleft()
             return self._estimate(goal)
-        value, rate = mean.copy(), np.zeros(5)
+        value: Vector = mean.copy()
+        rate: Vector = np.zeros(5)
         noise = np.array([
             np.sqrt(np.sum(left[:, part] ** 2) / ((count - 2.0) * (part.stop - part.start)))
             for part in _PARTS
@@ -121,6 +122,7 @@ class GoalMotion:
             moved = position_error(pose, goal.pose), angle_error(pose, goal.pose)
             if np.all(np.array(moved) < _SIGNIFICANT * self._noise / np.sqrt(count)):
                 return replace(goal, since=float(times[-1]))
+        rate = rate if rate.any() else STANDING
         return replace(goal, pose=pose, rate=rate, since=float(times[-1]))
 
     def _is_changed(self, left: Vector) -> bool:

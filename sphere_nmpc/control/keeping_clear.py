@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -26,8 +27,8 @@ def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None
     if refused is None:
         return None
     lasting = refusal(situation, situation.floor.lasting)
-    plan = stop(situation, robot, "no way to the goal", refused[1])
-    return replace(plan, unreachable=None if lasting is None else lasting[0])
+    kind = Kind.GIVEN_UP if lasting is None else lasting[0]
+    return stop(situation, robot, "no way to the goal", Condition(kind, refused[1]))
 
 
 def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strategy: str) -> Plan:
@@ -48,10 +49,9 @@ def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strateg
     clearance = clearance_of(situation, plan.hold, Margin.KEPT)
     if not math.isnan(clearance):
         return replace(plan, clearance=clearance)
-    stopped = stop(
-        situation, robot, "not clear",
+    stopped = stop(situation, robot, "not clear").giving_up(
         f"the goal: plans of the strategy {strategy} do not lead around what is occupied, those "
-        "of time_optimal do",
+        "of time_optimal do"
     )
     if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
         return replace(plan, hold=stopped.hold, states=stopped.states)
@@ -82,5 +82,5 @@ def clear_command(
         )
         if not math.isnan(clearance_of(situation, motion, Margin.SENT)):
             return sent
-    situation = replace(situation, time=start, input_in_force=speeds[-1])
+    situation = replace(situation, time=start, in_force=commands.in_force(start))
     return commands.joined(stop(situation, robot, "late").hold, start, period)

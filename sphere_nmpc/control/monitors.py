@@ -52,15 +52,19 @@ _SOON = 60.0
 """Longest time to the limit that is told [s]; slower changes are within the estimate's error."""
 
 
-def relative_error(decision: Decision, settings: ControllerSettings) -> float:
-    """Return the error of a decision over the tolerance [-]; nan without state or goal.
+def relative_error(
+    state: Vector | None, goal: Vector | None, settings: ControllerSettings
+) -> float:
+    """Return the error of a state over the tolerance [-]; nan without state or goal.
 
     With a tolerance of position or orientation of their own it is the larger of both ratios.
     """
+    if state is None or goal is None:
+        return math.nan
     position, angle = settings.tolerances
     if not (settings.position_tolerance or settings.orientation_tolerance):
-        return decision.error / settings.goal_tolerance
-    return max(decision.position_error / position, decision.angle_error / angle)
+        return state_error(state, goal) / settings.goal_tolerance
+    return max(position_error(state, goal) / position, angle_error(state, goal) / angle)
 
 
 class ArrivalDetector:
@@ -153,7 +157,7 @@ class Progress:
         holds = plan.status is PlanStatus.HOLDING and not plan.given_up
         if holds:
             # With momentum it is moved on purpose, see `docs/momentum.md`.
-            is_near = relative_error(decision, settings) < 1.0
+            is_near = relative_error(decision.state, decision.goal, settings) < 1.0
             none_needed = is_near or bool(decision.momentum.any())
         else:
             none_needed = error < _tolerance(settings)

@@ -16,7 +16,6 @@ from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import (
     Estimate,
     MeasuredPose,
-    PlantEstimate,
     PoseFilter,
 )
 from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
@@ -25,6 +24,7 @@ from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.worker.contract import Reply, Store, Worker

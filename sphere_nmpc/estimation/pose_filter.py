@@ -27,42 +27,19 @@ from sphere_nmpc.estimation.posterior import (
 )
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
+from sphere_nmpc.model.error_state import (
+    ERROR_SIZE,
+    apply_error,
+    error_between,
+    state_deviation,
+)
 from sphere_nmpc.model.first_order_hold import SAME
-from sphere_nmpc.model.parameters import LumpedConstants
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 SHORT_GAP = 0.1
 """Share of the mean spacing of poses [-] below which two are of a bunch."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantEstimate:
-    """Parameters of the plant that predictions use; all of them of one update.
-
-    Attributes
-    ----------
-    constants : LumpedConstants
-        Estimated, or as built where learning is off.
-    lag : float
-        Delay of the motion behind the rotor speeds sent [s].
-    noise : float
-        Standard deviation of the disturbance of each state within a sample period [m, -].
-    deviations : ndarray, shape (4,)
-        Standard deviations of the estimated [Rs, c1, r1, r3].
-    acceleration : float
-        Rotor acceleration that the drives attain [rad/s^2]; inf where it is not less than asked.
-    slippery : bool
-        Whether the sphere has slipped recently.
-    """
-
-    constants: LumpedConstants
-    lag: float
-    noise: float
-    deviations: Vector
-    acceleration: float = float("inf")
-    slippery: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,20 +65,9 @@ class Estimate:
     disturbance: Disturbance = UNDISTURBED
 
     @cached_property
-    def place_deviation(self) -> float:
-        """Standard deviation of the error of the position, whatever its direction [m]."""
-        if self.covariance is None:
-            return 0.0
-        return float(np.sqrt(max(self.covariance[0, 0], self.covariance[1, 1])))
-
-    @cached_property
     def uncertainty(self) -> float:
         """Standard deviation of the error of the state in R^6 [mixed units]; 0 if trusted."""
-        if self.covariance is None:
-            return 0.0
-        variances = np.diag(self.covariance)
-        # A rotation by a small angle moves its quaternion half as far.
-        return float(np.sqrt(np.sum(variances[:2]) + 0.25 * np.sum(variances[2:])))
+        return 0.0 if self.covariance is None else state_deviation(self.covariance)
 
 
 class Belief(NamedTuple):

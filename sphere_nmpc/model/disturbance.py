@@ -90,7 +90,7 @@ def rest_speeds(momentum: Vector, quaternion: Vector) -> Vector:
     With them the sphere rests if the component of the momentum along the body's z axis is zero;
     otherwise it turns slowly about that axis.
     """
-    return in_body(momentum, quaternion)[:2]
+    return in_body(momentum, quaternion)[:2] if momentum.any() else np.zeros(2)
 
 
 def after_slope(momentum: Vector, disturbance: Disturbance, duration: float) -> Vector:

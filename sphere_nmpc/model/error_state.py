@@ -39,6 +39,25 @@ def error_between(state: Vector, other: Vector) -> Vector:
     ))
 
 
+def place_deviation(covariance: Vector | None) -> float:
+    """Return the standard deviation of a position, whatever its direction [m]; 0 if trusted.
+
+    `covariance`, shape (5, 5), is that of the error of a pose; None where that is trusted exactly.
+    """
+    if covariance is None:
+        return 0.0
+    return float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
+
+
+def state_deviation(covariance: Vector | None) -> float:
+    """Return the standard deviation of a pose in R^6 [mixed units], likewise."""
+    if covariance is None:
+        return 0.0
+    variances = np.diag(covariance)
+    # A rotation by a small angle moves its quaternion half as far.
+    return float(np.sqrt(np.sum(variances[:2]) + 0.25 * np.sum(variances[2:])))
+
+
 def _by_fixed_axes(pose: Vector) -> Vector:
     """Return the matrix, shape (6, 5), from the error of a pose to [dx, dy, dz, turn; world]."""
     jacobian = np.zeros((6, 5))

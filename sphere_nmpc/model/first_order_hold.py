@@ -5,6 +5,7 @@
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
+from functools import cached_property
 from operator import lt
 
 import numpy as np
@@ -90,6 +91,12 @@ class FirstOrderHold:
         hold = object.__new__(cls)
         hold._keep(times, speeds)
         return hold
+
+    @cached_property
+    def durations(self) -> Vector:
+        """Lengths of the intervals between knots [s], shape (K - 1,)."""
+        times = self.times
+        return times[1:] - times[:-1]
 
     @classmethod
     def constant(cls, time: float, speeds: Vector) -> "FirstOrderHold":
@@ -210,7 +217,7 @@ class FirstOrderHold:
 
         They are in rad/s and rad/s^2; the first knot, the speeds in force, is not changed.
         """
-        speeds, changes = self.speeds, max_acceleration * np.diff(self.times)[:, None]
+        speeds, changes = self.speeds, max_acceleration * self.durations[:, None]
         before, after = speeds[:-1], speeds[1:]
         kept = (before - changes <= after) & (after <= before + changes)
         if (kept & (np.abs(after) <= max_speed)).all():

@@ -6,7 +6,7 @@ A goal that leaves something free is a set of poses. `nearest` returns the membe
 the distance is measured, with `state_error` and the others of `sphere_nmpc.model.state`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -25,7 +25,7 @@ def moved(pose: Vector, rate: Vector, elapsed: float) -> Vector:
 
     The rate is that of an error of `sphere_nmpc.model.error_state` [m/s; world, rad/s; body].
     """
-    return pose if rate is STANDING or not rate.any() else apply_error(pose, elapsed * rate)
+    return apply_error(pose, elapsed * rate) if rate.any() else pose
 
 
 class Orientation(Enum):
@@ -134,7 +134,15 @@ class Goal:
 
     def at(self, time: float) -> Vector:
         """Return the pose at a control time [s], shape (6,)."""
+        if self.rate is STANDING:  # as at nearly every sample
+            return self.pose
         return moved(self.pose, self.rate, time - self.since)
+
+    def now(self, time: float) -> "Goal":
+        """Return the same goal with its pose at a control time [s]."""
+        if self.rate is STANDING or not self.rate.any():
+            return self
+        return replace(self, pose=self.at(time), since=time)
 
     def nearest(self, state: Vector, time: float) -> Vector:
         """Return the member at a time [s] that is nearest to a state, (6,) or (9,); shape (6,)."""
@@ -150,37 +158,3 @@ class Goal:
         same = self.orientation is other.orientation
         counts = POSITION if self.orientation is Orientation.ANY else POSE
         return same and np.array_equal(self.pose[counts], other.pose[counts])
-
-
-@dataclass(frozen=True, eq=False)
-class GoalSequence:
-    """Goals that are visited in order.
-
-    Attributes
-    ----------
-    goals : tuple of Goal
-        One or more.
-    stamp : int
-        Stamp of the message that brought them [ns]; 0 if they have come otherwise.
-    index : int
-        Which one is aimed at.
-    """
-
-    goals: tuple[Goal, ...]
-    stamp: int = 0
-    index: int = 0
-
-    @property
-    def goal(self) -> Goal:
-        """The goal that is aimed at."""
-        return self.goals[self.index]
-
-    @property
-    def is_last(self) -> bool:
-        """Whether no other goal follows."""
-        return self.index == len(self.goals) - 1
-
-    def lists_same(self, other: "GoalSequence") -> bool:
-        """Return whether it has the same goals in the same order."""
-        pairs = zip(self.goals, other.goals, strict=False)
-        return len(self.goals) == len(other.goals) and all(a.equals(b) for a, b in pairs)

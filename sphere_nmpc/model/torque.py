@@ -50,7 +50,7 @@ def torques(
     `states`, shape (K, 6), are those at the knots. The torques are at the start and at the end of
     each interval [N m], shape (K - 1, 2); in between they are nearly linear in time.
     """
-    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+    slopes = np.diff(hold.speeds, axis=0) / hold.durations[:, None]
     verticals, p = rotation.vertical(states[:, QUATERNION]), constants.as_array()
     after = rotor_acceleration(verticals[:-1], hold.speeds[:-1], slopes, p)
     before = rotor_acceleration(verticals[1:], hold.speeds[1:], slopes, p)

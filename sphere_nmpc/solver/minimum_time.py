@@ -33,8 +33,14 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSITION, QUATERNION, Vector
-from sphere_nmpc.solver.plain import shoot_knots
-from sphere_nmpc.solver.problem import MinimumTimeProblem, Solution, SolverSettings, SolveStatus
+from sphere_nmpc.solver.plain import aim_of, bounds_of, shoot_knots
+from sphere_nmpc.solver.problem import (
+    End,
+    MinimumTimeProblem,
+    Solution,
+    SolverSettings,
+    SolveStatus,
+)
 
 ROWS = 8
 """Residuals of the terminal error."""
@@ -59,7 +65,7 @@ class Point:
     merit : float
         Duration and weighted error [s].
     error : ndarray, shape (8,)
-        e: position [1/s], vector part of q conj(q_d), speeds of rest [1/U], momentum or tilt.
+        e: position [1/s], vector part of q conj(q_d), speeds of the end [1/U], momentum or tilt.
     by_knots : ndarray, shape (8, 2 N)
         Its derivatives by v.
     by_stretch : ndarray, shape (8,)
@@ -96,18 +102,20 @@ def expand_error(problem: MinimumTimeProblem, v: Vector, stretch: float = 1.0) -
     turn = np.array([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
     turn *= problem.turn_weights[:, None]
     error[2:5], by_end[2:5, QUATERNION] = turn @ end[QUATERNION], turn
-    if problem.disturbed:
+    if problem.end is not End.FREE:
         hold = rotation.matrix(goal[QUATERNION])[:, :2].T / problem.input_scale
-        error[5:7] = v[-INPUT_SIZE:] - hold @ momentum
+        aim = aim_of(problem) / problem.input_scale
+        error[5:7] = v[-INPUT_SIZE:] - aim - hold @ momentum
         by_end[5:7, MOMENTUM] = -hold
+    if problem.disturbed:
         error[7] = problem.momentum_row @ momentum
         by_end[7, MOMENTUM] = problem.momentum_row
     by_knots = problem.input_scale * by_end @ motion.derivatives[-1]
     by_stretch = by_end @ motion.by_stretch[-1]
     by_stretch[:2] -= scale * moved
-    if problem.disturbed:
+    if problem.end is not End.FREE:
         by_knots[5:7, -INPUT_SIZE:] += np.eye(INPUT_SIZE)
-    elif steady > 0:
+    if steady > 0 and not problem.disturbed:
         error[7], by_turn = _tilt(problem.steady_axis, motion.states[steady, QUATERNION])
         by_knots[7] = problem.input_scale * by_turn @ motion.derivatives[steady, QUATERNION]
         by_stretch[7] = by_turn @ motion.by_stretch[steady, QUATERNION]
@@ -126,7 +134,8 @@ def _tilt(axis: Vector, quaternion: Vector) -> tuple[float, Vector]:
 
 def _fixed(problem: MinimumTimeProblem) -> NDArray[np.bool_]:
     """Return which scaled knots the bounds fix, shape (2 N,)."""
-    return np.asarray(problem.lower >= problem.upper).ravel()
+    lower, upper = bounds_of(problem)
+    return np.asarray(lower >= upper).ravel()
 
 
 def minimise_time(
@@ -185,7 +194,7 @@ def minimise_time(
             status = SolveStatus.STALLED
     inputs = here.inputs.copy()
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
-    inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
+    inputs[1:] = np.clip(inputs[1:], *bounds_of(problem))
     return Solution(
         inputs, here.states, here.merit, status, iterations, residual,
         time.perf_counter() - began, here.stretch,
@@ -202,7 +211,7 @@ class _Program:
     def __init__(self, problem: MinimumTimeProblem) -> None:
         scale, durations = problem.input_scale, problem.durations
         self._problem, self._free = problem, ~_fixed(problem)
-        self._lower, self._upper = problem.lower.ravel() / scale, problem.upper.ravel() / scale
+        self._lower, self._upper = (knots.ravel() / scale for knots in bounds_of(problem))
         self._first = problem.input_in_force / scale
         # Change that is allowed for each knot at a stretch of 1.
         self._reach = problem.max_acceleration / scale * np.repeat(durations, INPUT_SIZE)

@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sphere_nmpc.model.disturbance import Disturbance, after_slope, rest_speeds
 from sphere_nmpc.model.integrator import steps_for, tangent_step_function
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
+from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, POSE, POSITION, QUATERNION, Vector
 from sphere_nmpc.solver.problem import (
+    End,
     LeastSquaresProblem,
     Problem,
     Solution,
@@ -178,6 +180,28 @@ class _Step:
         return way, dway, y, dy
 
 
+def bounds_of(problem: Problem) -> tuple[Vector, Vector]:
+    """Return the bounds of the knots, (N, 2) each: equal ones for the last where the end fixes it.
+
+    That is where the momentum at the end is known before the motion is.
+    """
+    lower, upper = problem.lower, problem.upper
+    is_known = isinstance(problem, LeastSquaresProblem) or not problem.disturbed
+    if problem.end is End.FREE or not is_known:
+        return lower, upper
+    disturbance, duration = Disturbance.from_array(problem.torques), problem.durations.sum()
+    momentum = after_slope(problem.state[MOMENTUM], disturbance, duration)
+    speeds = aim_of(problem) + rest_speeds(momentum, problem.goal[QUATERNION])
+    lower, upper = lower.copy(), upper.copy()
+    lower[-1] = upper[-1] = np.fmin(np.fmax(speeds, lower[-1]), upper[-1])
+    return lower, upper
+
+
+def aim_of(problem: Problem) -> Vector:
+    """Return u_f, the speeds at an end that is not free, beyond what holds the momentum, (2,)."""
+    return problem.end_speeds if problem.end is End.STATE else np.zeros(INPUT_SIZE)
+
+
 class Expansion(NamedTuple):
     """Cost of a `LeastSquaresProblem` and its Gauss-Newton model at scaled knots v = u / U.
 
@@ -265,9 +289,8 @@ def minimise(
     knots u_1 ... u_N [rad/s]; it is clipped to the bounds. `time_budget` is in s.
     """
     began = time.perf_counter()
-    lower, upper, v = (
-        knots.ravel() / problem.input_scale for knots in (problem.lower, problem.upper, start)
-    )
+    bounds = bounds_of(problem)
+    lower, upper, v = (knots.ravel() / problem.input_scale for knots in (*bounds, start))
     here = expand(problem, np.clip(v, lower, upper))
     residual = _kkt_residual(here, lower, upper) if math.isfinite(here.cost) else math.inf
     damping, growth, small, iterations = settings.initial_damping, 2.0, False, 0
@@ -304,7 +327,7 @@ def minimise(
             growth *= 2.0
     inputs = here.inputs.copy()
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
-    inputs[1:] = np.clip(inputs[1:], problem.lower, problem.upper)
+    inputs[1:] = np.clip(inputs[1:], *bounds)
     elapsed = time.perf_counter() - began
     return Solution(
         inputs, here.motion.states, here.cost, status, iterations, residual, elapsed

@@ -8,7 +8,7 @@ and strings that annotate an array are its shape, with N intervals.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -24,14 +24,31 @@ def _always(*values: float) -> Callable[[], Vector]:
     return lambda: array
 
 
+class End(IntEnum):
+    """What the rotor speeds at the end of a plan are to be: those of rest, given ones, or any.
+
+    u_N = u_f + (R^T h_N)_1,2, with the rotation R of the goal and the momentum h_N at the end: the
+    sphere moves as it does at speeds u_f without momentum, but for a slow turn that the third
+    component of R^T h_N causes.
+    """
+
+    REST = 0
+    """Rest: u_f = 0."""
+    STATE = 1
+    """Given state: u_f is `Shooting.end_speeds`, and with it the velocity, as the sphere rolls."""
+    FREE = 2
+    """Any speeds u_N within the bounds."""
+
+
 # Treated as immutable, but not frozen: that would take as long as a third of an iteration.
 @dataclass(slots=True, eq=False, kw_only=True)
 class Shooting:
     """Find the knots u_1 ... u_N of a first-order hold that starts at the input in force u_0.
 
     What both problems have in common: by single shooting x_m, the state at knot m, is that of the
-    model, so Eq. 25.A holds by construction; lower <= u_m <= upper; and the goal x_d, which is at
-    p_d + v_d t_m where it moves.
+    model, so Eq. 25.A holds by construction; lower <= u_m <= upper; the goal x_d, which is at
+    p_d + v_d t_m where it moves; and the end. Where the momentum at the end is known before the
+    motion is, u_N is fixed, at the speeds of the end, clipped to the bounds.
 
     Attributes
     ----------
@@ -62,6 +79,10 @@ class Shooting:
         w_q [-]: weights of the error of the orientation about the world's axes; 0 leaves it free.
     goal_velocity : ndarray, shape (2,)
         v_d [m/s]: velocity of the goal, which is at x_d at the start.
+    end : End
+        What u_N is to be.
+    end_speeds : ndarray, shape (2,)
+        u_f [rad/s], with `End.STATE`.
     """
 
     state: Annotated[Vector, 9]
@@ -78,6 +99,8 @@ class Shooting:
     torques: Annotated[Vector, 5] = field(default_factory=_always(0.0, 0.0, 0.0, 0.0, 0.0))
     turn_weights: Annotated[Vector, 3] = field(default_factory=_always(1.0, 1.0, 1.0))
     goal_velocity: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
+    end: End = End.REST
+    end_speeds: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
 
     @property
     def intervals(self) -> int:
@@ -103,6 +126,9 @@ class LeastSquaresProblem(Shooting):
     with |.|_s the norm in which positions are multiplied by s, and quaternions by the largest of
     the weights w_q. The paper's weights over beta: w_x = 1/beta, w_u = alpha U^2 / beta.
 
+    By default the end is free, as in the paper. Otherwise u_N is fixed, for the momentum that the
+    torque of the slope alone leads to in the given time.
+
     Attributes
     ----------
     stage_weight, input_weight : float
@@ -111,6 +137,7 @@ class LeastSquaresProblem(Shooting):
         u_ref [rad/s]: rotor speeds that cost nothing.
     """
 
+    end: End = End.FREE
     stage_weight: float = 0.0
     input_weight: float
     input_reference: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
@@ -126,9 +153,10 @@ class MinimumTimeProblem(Shooting):
 
     subject to |u_m - u_{m-1}| <= a sigma h_m. The terminal error e consists of
     s (p_N - p_d - v_d t_N), the vector part of q_N conj(q_d) times w_q, by component,
-    (u_N - (R(q_d)^T h_N)_1,2) / U, with which the rotors hold the momentum h, and r_h . h_N or t,
-    the tilt of the axis at the start of an interval of steady rolling. The third part and r_h
-    count only with momentum or torques; without, the bounds let the last knot be zero.
+    (u_N - u_f - (R(q_d)^T h_N)_1,2) / U, and r_h . h_N with momentum or torques, or else t, the
+    tilt of the axis at the start of an interval of steady rolling. By default the sphere rests at
+    the end, and the third part is left out where the end is free. Without momentum and torques
+    u_N is fixed, and that part is by how much u_f exceeds the bounds.
 
     Attributes
     ----------

@@ -126,7 +126,7 @@ class AtRest:
         self, situation: Situation, end: Callable[[Situation], Vector] | None, holding: bool,
         found_none: bool = False,
     ) -> Vector:
-        """Return the goal to aim at, shape (6,): the given object where that can be held.
+        """Return the pose to aim at, shape (6,): the given object where that can be held.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class AtRest:
             Whether the last search has found no arrival; another orientation that unloads the
             rotors is then aimed at.
         """
-        goal = situation.goal
+        goal = situation.goal.pose
         self.limitation = ""
         unloading = self._unloading_near(situation, holding)
         if unloading is not None:
@@ -155,7 +155,7 @@ class AtRest:
             return goal  # what may be an error of the estimate is no reason to leave
         momentum = end(situation) if end is not None else self._expected(situation, holding)
         found = holdable_goal(goal, momentum, situation.disturbance)
-        if found is not goal and situation.orientation is not Orientation.ANY:
+        if found is not goal and situation.goal.orientation is not Orientation.ANY:
             self.limitation = changed_orientation(angle_error(found, goal))
         return found
 
@@ -166,7 +166,7 @@ class AtRest:
         if situation.is_out_of_balance:
             # The plan ends without momentum along the body's z axis; the torque has to be held.
             return np.zeros(3)
-        way = float(np.linalg.norm(situation.goal[:2] - situation.state[:2]))
+        way = float(np.linalg.norm(situation.goal.pose[:2] - situation.state[:2]))
         duration = SteadyRolling.of(situation.constants, self._max_speed).duration(way)
         return after_slope(situation.momentum, situation.disturbance, duration)
 
@@ -182,7 +182,7 @@ class AtRest:
             if float(self._direction @ momentum) <= 0.0:
                 self._unloading = None
         elif holding:
-            quaternion = situation.goal[QUATERNION]
+            quaternion = situation.goal.pose[QUATERNION]
             speeds = rest_speeds(momentum, quaternion)
             rates = rest_speeds(situation.disturbance.at_rest(quaternion), quaternion)
             nearly = tuning.unloading_share * self._max_speed
@@ -209,30 +209,32 @@ class AtRest:
 
     def plan(self, situation: Situation) -> Plan:
         """Return a ramp to rest, a correction of what rolling corrects, or a way with the goal."""
-        error = state_error(situation.state, situation.goal)
-        tuning, moves = self._tuning, bool(situation.goal_rate.any())
-        noisy = tuning.dead_band(situation.noise, 0.0) > tuning.leaving_error
+        aimed = situation.goal
+        error = state_error(situation.state, aimed.pose)
+        tuning, moves = self._tuning, bool(aimed.rate.any())
+        noisy = tuning.dead_band(situation.plant.noise, 0.0) > tuning.leaving_error
         small = error <= tuning.least_dead_band and not noisy and situation.has_small_momentum
         if small and not moves:
             return come_to_rest(situation, self._robot, f"at the goal, {error:.1e} off")
-        goal = nearer_sign(situation.goal, situation.state)
-        situation = replace(situation, goal=goal)
+        goal = situation.aim(nearer_sign(aimed.pose, situation.state))
+        situation = situation.aimed_at(goal)
         plan = self._tracking.plan(situation) if moves else self._corrected(situation)
         return replace(plan, status=PlanStatus.HOLDING)
 
     def _corrected(self, situation: Situation) -> Plan:
         """Return the solution of the problem of the corrections, added to the speeds of rest."""
         momentum, turn, now = situation.momentum, situation.state[QUATERNION], situation.time
-        in_force = situation.input_in_force - rest_speeds(momentum, turn)
-        goal = self._tilted(situation)
+        disturbance = situation.disturbance
+        in_force = FirstOrderHold.constant(now, situation.speeds - rest_speeds(momentum, turn))
+        situation = situation.aimed_at(situation.aim(self._tilted(situation)))
         plan = self._corrections.plan(
             replace(
-                situation, state=without_momentum(situation.state), goal=goal,
-                input_in_force=in_force, disturbance=UNDISTURBED,
+                situation, state=without_momentum(situation.state), in_force=in_force,
+                disturbance=UNDISTURBED,
             )
         )
         times = plan.hold.times
-        held = speeds_at_rest(momentum, situation.disturbance, turn, times - now)
+        held = speeds_at_rest(momentum, disturbance, turn, times - now)
         hold = FirstOrderHold(times, plan.hold.speeds + held)
         return replace(plan, hold=hold)
 
@@ -242,7 +244,7 @@ class AtRest:
         Where the sphere rests but for the component h3 of the momentum along the body's z axis it
         turns about that axis at c1 r3 / r1 (1 + r3 k3^2 / (1 - r1 (k1^2 + k2^2) - r3 k3^2)) h3.
         """
-        goal, tuning = situation.goal, self._tuning
+        goal, tuning = situation.goal.pose, self._tuning
         h1, h2, h3 = in_body(situation.momentum, goal[QUATERNION])
         level = float(np.hypot(h1, h2))
         if level < SMALL_MOMENTUM:
@@ -299,7 +301,7 @@ def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
 def is_at_rest(situation: Situation, max_speed: float) -> bool:
     """Return whether the rotors turn at the speeds at which the sphere rests."""
     held = speeds_of_rest(situation.momentum, situation.state[QUATERNION], max_speed)
-    return bool(np.all(np.abs(situation.input_in_force - held) < SMALL_MOMENTUM))
+    return bool(np.all(np.abs(situation.speeds - held) < SMALL_MOMENTUM))
 
 
 def is_saturated(momentum: Vector, quaternion: Vector, max_speed: float) -> bool:

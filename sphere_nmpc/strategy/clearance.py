@@ -65,7 +65,7 @@ def needed_distance(situation: Situation, margin: Margin) -> float:
     """
     floor = situation.floor
     beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation
-    there = floor.least_distance(situation.goal[POSITION]) - _VARIES
+    there = floor.least_distance(situation.goal.pose[POSITION]) - _VARIES
     return min(situation.least_distance + beyond, max(there, situation.radius))
 
 
@@ -78,7 +78,7 @@ def refusal(situation: Situation, floor: Floor) -> tuple[Kind, str] | None:
             "the goal: the place of the sphere is occupied or outside of the floor, so that no "
             "motion keeps clear"
         )
-    goal, radius = situation.goal[POSITION], situation.radius
+    goal, radius = situation.goal.pose[POSITION], situation.radius
     distance = floor.distance(goal)
     if distance >= max(floor.needed - _ROUNDING, radius - _VARIES):
         return None
@@ -115,7 +115,7 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
     x, y, yaw = grid.origin
     # Named, so that they live until the call has ended.
     arrays = (
-        constants.as_array(), disturbance.as_array(), np.diff(hold.times),
+        constants.as_array(), disturbance.as_array(), hold.durations,
         np.ascontiguousarray(hold.speeds), np.ascontiguousarray(situation.state), corners,
     )
     place = np.array((x, y, math.cos(yaw), math.sin(yaw), grid.resolution))

@@ -3,14 +3,14 @@
 """Contract between a strategy and the control loop, and strategies by name."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral, Real
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import (
     ForeignCodeError,
     InvalidParameterError,
@@ -20,13 +20,16 @@ from sphere_nmpc.errors import (
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.foreign_code import called
 from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.model.course import Course, Leg, LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.error_state import place_deviation, state_deviation
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
-from sphere_nmpc.model.goal import STANDING, Goal, Orientation, moved
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, STATE_SIZE, Vector
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
 
 SMALL_MOMENTUM = 1.0
@@ -39,14 +42,19 @@ MOST_KNOTS = 3000
 take 15 ms, 10 000 of them 80 ms."""
 _DIFFERENT = 1e-3
 """Difference from the speeds in force [rad/s] from which on a plan does not begin with them."""
-_FIELDS: dict[str, Any] = dict.fromkeys(
-    ("error", "remaining_time", "arrival", "cost", "kkt_residual", "solve_time", "beyond", "until",
-     "tolerance"), Real,
-) | dict.fromkeys(("turns", "work", "iterations", "motion"), Integral) | {
-    "status": PlanStatus, "goal": Goal, "message": str, "given_up": str,
-    "unreachable": Kind | None, "final": np.ndarray | None,
+_FIELDS: dict[type, dict[str, Any]] = {
+    Plan: {
+        "status": PlanStatus, "hold": FirstOrderHold, "leg": Leg, "error": Real, "until": Real,
+        "tolerance": Real, "conditions": tuple, "made": Made,
+    },
+    Leg: {"goal": Goal, "end": LegEnd, "time_left": Real, "way_left": Real},
+    Goal: {"since": Real},
+    Condition: {"kind": Kind, "text": str, "subject": str},
+    Made: dict.fromkeys(("cost", "kkt_residual", "solve_time"), Real)
+    | dict.fromkeys(("turns", "work", "iterations", "motion"), Integral),
 }
-"""Types of the fields of a plan, of other packages as well."""
+"""Types of the fields of a plan and its parts, of other packages as well."""
+_RECORDS, _NONE = (FirstOrderHold, Leg, Goal, Made), dict[str, Any]()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,56 +67,108 @@ class Situation:
         Sampling instant, control time [s].
     state : ndarray, shape (9,)
         State at that instant, predicted from the newest measurement.
-    goal : ndarray, shape (6,)
-        Goal state; where `orientation` leaves something free, a member of the set of goals.
-    input_in_force : ndarray, shape (2,)
-        Rotor speeds at that instant [rad/s].
-    constants : LumpedConstants
-        Estimated constants of the plant at that instant.
-    noise : float
-        Estimated process noise: standard deviation of each state in a sample period [m, -].
-    uncertainty : float
-        Standard deviation of the error of `state` in R^6.
-    time_budget : float
-        Wall time that planning may take [s]; a strategy then returns the best plan found.
+    course : Course
+        The goals, which are compared by `Course.origin`.
+    in_force : FirstOrderHold
+        The newest command sent, from `time` on: it is followed to its end without another.
+    plant : PlantEstimate
+        Parameters of the plant as known at that instant.
     disturbance : Disturbance
         Estimated slope and imbalance.
-    acceleration : float
-        Rotor acceleration that the drives attain [rad/s^2], where less than their limit.
-    slippery : bool
-        Whether the sphere has slipped recently.
-    orientation : Orientation
-        What the goal demands of the orientation.
-    goal_rate : ndarray, shape (5,)
-        Rate of change of the goal, an error of a pose by time [m/s, rad/s]; 0 where it stands.
     floor : Floor
         What the sphere has to stay clear of; `Floor.EMPTY` where there is nothing.
-    place_deviation : float
-        Standard deviation of the error of the position [m].
-    in_force : FirstOrderHold or None
-        The newest command sent, which is followed to its end without another; None before it.
+    leg : int
+        Index of the leg of the course that is followed.
+    covariance : ndarray of shape (5, 5), or None
+        Covariance of the error of `state`: position [m; world frame], rotation vector [rad; body
+        frame]. None where it is trusted exactly.
+    time_budget : float
+        Wall time that planning may take [s]; a strategy then returns the best plan found.
     """
 
     time: float
     state: Vector
-    goal: Vector
-    input_in_force: Vector
-    constants: LumpedConstants
-    noise: float = 0.0
-    uncertainty: float = 0.0
-    time_budget: float = float("inf")
+    course: Course
+    in_force: FirstOrderHold
+    plant: PlantEstimate
     disturbance: Disturbance = UNDISTURBED
-    acceleration: float = float("inf")
-    slippery: bool = False
-    orientation: Orientation = Orientation.FULL
-    goal_rate: Vector = field(default_factory=lambda: STANDING)
     floor: Floor = Floor.EMPTY
-    place_deviation: float = 0.0
-    in_force: FirstOrderHold | None = None
+    leg: int = 0
+    covariance: Vector | None = None
+    time_budget: float = float("inf")
 
     def __post_init__(self) -> None:
-        for array in (self.state, self.goal, self.input_in_force, self.goal_rate):
-            array.flags.writeable = False  # the estimate and the goal in force are the same arrays
+        aimed = self.course.legs[self.leg].goal
+        # The estimate and the goal in force are the same arrays.
+        for array in (self.state, aimed.pose, aimed.rate, self.plant.deviations, self.covariance):
+            if array is not None:
+                array.flags.writeable = False
+
+    @classmethod
+    def of(
+        cls, time: float, state: Vector, goal: Vector | Goal, speeds: Vector,
+        constants: LumpedConstants, **others: Any,
+    ) -> "Situation":
+        """Return that of a known plant with one goal, or a pose, (6,), and rotor speeds [rad/s].
+
+        `others` are further fields.
+        """
+        one = goal if isinstance(goal, Goal) else Goal(goal)
+        in_force = FirstOrderHold.constant(time, speeds)
+        return cls(
+            time, state, Course.of(one), in_force, PlantEstimate(constants), **others
+        )
+
+    @cached_property
+    def goal(self) -> Goal:
+        """The goal that is aimed at, as it is now: a set, see `Goal.nearest`."""
+        return self.course.legs[self.leg].goal.now(self.time)
+
+    def aim(self, pose: Vector) -> Goal:
+        """Return the goal at another pose, such as a member of the set, now."""
+        goal = self.goal
+        return goal if pose is goal.pose else replace(goal, pose=pose, since=self.time)
+
+    def aimed_at(self, goal: Goal) -> "Situation":
+        """Return the situation with another goal of the same leg, such as a member of the set."""
+        if goal is self.goal:
+            return self
+        return replace(self, course=self.course.aimed(self.leg, goal))
+
+    def nearest_to(self, state: Vector) -> "Situation":
+        """Return the situation with the member of the goals that is nearest to a state."""
+        goal = self.goal
+        if goal.orientation is Orientation.FULL:
+            return self
+        return self.aimed_at(self.aim(goal.orientation.nearest(goal.pose, state)))
+
+    def from_zero(self) -> "Situation":
+        """Return the same situation at time 0."""
+        goal = replace(self.goal, since=0.0)
+        return replace(
+            self, time=0.0, course=self.course.aimed(self.leg, goal),
+            in_force=self.in_force.delayed(-self.time),
+        )
+
+    @cached_property
+    def constants(self) -> LumpedConstants:
+        """Constants of the plant."""
+        return self.plant.constants
+
+    @cached_property
+    def speeds(self) -> Vector:
+        """Rotor speeds in force at that instant [rad/s], shape (2,)."""
+        return self.in_force.speeds[0]
+
+    @cached_property
+    def place_deviation(self) -> float:
+        """Standard deviation of the error of the position [m]."""
+        return place_deviation(self.covariance)
+
+    @cached_property
+    def uncertainty(self) -> float:
+        """Standard deviation of the error of the state in R^6."""
+        return state_deviation(self.covariance)
 
     @property
     def radius(self) -> float:
@@ -124,7 +184,7 @@ class Situation:
         """
         return max(self.floor.needed, self.radius)
 
-    @property
+    @cached_property
     def momentum(self) -> Vector:
         """Estimated momentum at that instant, shape (3,) [rad/s; world frame]."""
         return self.state[MOMENTUM]
@@ -141,14 +201,6 @@ class Situation:
     def is_out_of_balance(self) -> bool:
         """Whether plans end without momentum along the body's z axis by an imbalance."""
         return _length(self.disturbance.imbalance) >= SMALL_MOMENTUM
-
-    def aim(self, pose: Vector) -> Goal:
-        """Return the goal at a member of the set, shape (6,), for a plan from time 0 (now) on."""
-        return Goal(pose, self.orientation, self.goal_rate)
-
-    def goal_after(self, elapsed: float, goal: Vector | None = None) -> Vector:
-        """Return where the goal, or another member of the set, is after a time [s], shape (6,)."""
-        return moved(self.goal if goal is None else goal, self.goal_rate, elapsed)
 
 
 def _length(vector: Vector) -> float:
@@ -170,15 +222,19 @@ class Strategy(Protocol):
         """
 
     def reset(self) -> None:
-        """Forget warm starts and plans, as after a new goal: the strategy then acts like new."""
+        """Forget warm starts and plans, as before another leg: the strategy then acts like new."""
 
 
 @runtime_checkable
 class SearchingStrategy(Protocol):
-    """Strategy that can search beside the control loop."""
+    """Strategy that can search beside the control loop.
+
+    It finds by `Course.origin` and `Situation.leg` that another goal is aimed at, and is not
+    `reset` then.
+    """
 
     def search_beside(self, worker: Worker) -> None:
-        """Search by a worker from now on; a new goal then needs no `Strategy.reset`."""
+        """Search by a worker from now on."""
 
     @property
     def searches(self) -> bool:
@@ -228,14 +284,7 @@ def plan_of(strategy: Strategy, situation: Situation, robot: RobotParameters) ->
 
 def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> Plan:
     plan = strategy.plan(situation)
-    # Classes derived from these could have other methods.
-    for given, kind in (plan, Plan), (plan.hold, FirstOrderHold):
-        if type(given) is not kind:
-            raise TypeError(f"plan: given {type(given).__name__}, expected {kind.__name__}")
-    for name, expected in _FIELDS.items():
-        value = getattr(plan, name)
-        if not isinstance(value, expected):
-            raise TypeError(f"plan: given the {name} {shown(value)}, expected another type")
+    _check_types(plan)
     hold, states = plan.hold, np.array(plan.states, dtype=float)
     knots, rows = hold.times.size, len(states) if states.ndim else -1
     if knots > MOST_KNOTS:
@@ -248,11 +297,31 @@ def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> 
     if not np.isfinite(states).all():
         raise ArithmeticError("the predicted states are not finite")
     states.flags.writeable = False
-    time, speeds = situation.time, situation.input_in_force
+    time, speeds = situation.time, situation.speeds
     if abs(hold.start - time) > SHORTEST or np.abs(hold.speeds[0] - speeds).max() > _DIFFERENT:
         hold = hold.starting_at(time, speeds, SHORTEST)
     return replace(
         plan, states=states, clearance=math.nan,
         hold=hold.limited(robot.max_rotor_speed, robot.max_rotor_acceleration),
-        message=printable_line(plan.message), given_up=printable_line(plan.given_up),
+        conditions=tuple([
+            Condition(kind, printable_line(text), subject and printable_line(subject))
+            for kind, text, subject in plan.conditions
+        ]),
     )
+
+
+def _check_types(plan: Plan) -> None:
+    """Raise a `TypeError` where a plan, a part of it or a field of these is of another type."""
+    parts: list[tuple[Any, type]] = [(plan, Plan)]
+    for given, kind in parts:
+        # Classes derived from these could have other methods.
+        if type(given) is not kind:
+            raise TypeError(f"plan: given {type(given).__name__}, expected {kind.__name__}")
+        for name, expected in _FIELDS.get(kind, _NONE).items():
+            value = getattr(given, name)
+            if not isinstance(value, expected):
+                raise TypeError(f"plan: given the {name} {shown(value)}, expected another type")
+            if expected in _RECORDS:
+                parts.append((value, expected))
+            elif expected is tuple:
+                parts += [(one, Condition) for one in value]

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
@@ -29,7 +30,7 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import LeastSquaresProblem, Solution, SolverSettings, SolveStatus
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 
 SETTLED_COST = 1e-4
 """Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled."""
@@ -132,6 +133,9 @@ class PaperStrategy:
 
     def plan(self, situation: Situation) -> Plan:
         """Solve OCP_N (Eq. 25) and return its inputs as a hold."""
+        # Of a set of goals that which the last plan ends next to: the nearest one to the state is
+        # another one at each sample.
+        situation = situation.nearest_to(situation.state if self._end is None else self._end)
         times = self._knot_times(situation.time)
         problem = self._problem(situation, times)
         answer, solve_time, message = self._best_answer(problem, times, situation.time_budget)
@@ -145,19 +149,20 @@ class PaperStrategy:
         self._followed = answer.followed
         self._end = solution.states[-1]
         capped = solution.status is not SolveStatus.CONVERGED
+        message = message or (solution.status.value if capped else "")
         settings = self._settings
-        pose, goal = situation.state[POSE], situation.goal
+        pose, goal = situation.state[POSE], problem.goal
         error = settings.units.scaled(pose) - settings.units.scaled(goal)
         return Plan(
             PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
             FirstOrderHold(times, solution.inputs),
             solution.states,
-            # The solver's cost is divided by beta and lacks the stage cost of the initial state.
-            cost=settings.terminal_weight * solution.cost + float(error @ error),
-            iterations=solution.iterations,
-            kkt_residual=solution.kkt_residual,
-            solve_time=solve_time,
-            message=message or (solution.status.value if capped else ""),
+            conditions=(Condition(Kind.PLANNED, message),) if message else (),
+            made=Made(
+                # The solver's cost is divided by beta and lacks the first state's stage cost.
+                settings.terminal_weight * solution.cost + float(error @ error),
+                solution.iterations, solution.kkt_residual, solve_time=solve_time,
+            ),
         )
 
     def _best_answer(
@@ -232,17 +237,14 @@ class PaperStrategy:
         upper = np.full((durations.size, INPUT_SIZE), limit)
         # The first ramp is the one that is sent: it keeps the acceleration limit exactly.
         reach = self._robot.max_rotor_acceleration * durations[0]
-        in_force = situation.input_in_force
+        in_force = situation.speeds
         lower = -upper
         upper[0] = np.minimum(np.maximum(in_force + reach, -limit), limit)
         lower[0] = np.minimum(np.maximum(in_force - reach, -limit), limit)
+        goal = situation.goal
         return LeastSquaresProblem(
             state=without_momentum(situation.state),
-            # Of a set of goals that which the last plan ends next to: the nearest one to the state
-            # is another one at each sample.
-            goal=situation.orientation.nearest(
-                situation.goal, situation.state if self._end is None else self._end
-            ),
+            goal=goal.pose,
             input_in_force=in_force,
             durations=durations,
             constants=situation.constants.as_array(),
@@ -254,6 +256,6 @@ class PaperStrategy:
             max_step=settings.longest_step,
             input_reference=rest,
             position_scale=settings.units.position_scale,
-            turn_weights=situation.orientation.weights,
-            goal_velocity=situation.goal_rate[POSITION],
+            turn_weights=goal.orientation.weights,
+            goal_velocity=goal.rate[POSITION],
         )

@@ -8,14 +8,16 @@ from enum import Enum
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
+from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.model.course import Leg
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
 from sphere_nmpc.solver.roll_out import roll_out
 
-_NOT_TOLD = Goal(np.full(6, np.nan))
+_NOWHERE = Leg(Goal(np.full(6, np.nan), since=math.nan))
 
 
 class PlanStatus(Enum):
@@ -35,106 +37,105 @@ class PlanStatus(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """Rotor speeds from now on and the states that they are predicted to lead to.
-
-    The control loop takes plans in control time. A plan of a search begins at time 0; `delayed`
-    puts it in force.
+class Made:
+    """How a plan was made.
 
     Attributes
     ----------
-    status : PlanStatus
-        Origin and quality of the plan.
-    hold : FirstOrderHold
-        Rotor speeds [rad/s]; knot times in control time [s], the first at the sampling instant, or
-        from time 0 on. That of a search ends at the arrival at its own goal; once it is in force,
-        the sphere is held there for a second more, so that its end is no arrival.
-    states : ndarray, shape (K, 9)
-        Predicted states at the knots of `hold`.
-    goal : Goal
-        What it aims at: the member of the set at which it ends; its pose is nan if not told.
-    error : float
-        Predicted terminal error [-], inf where it is not finite, nan where it is not told. Of a
-        minimum-time problem it is the sum of the absolute residuals, else the norm in R^6.
-    remaining_time : float
-        Time from its end to the final goal [s]; 0 where that is its own.
-    final : ndarray of shape (6,), or None
-        Final goal, where its own is on the way there.
-    turns : int
-        Whole turns of steady rolling that were left out of the problem.
-    work : int
-        Cost of the solve in microseconds or so, the same on every machine.
-    arrival : float
-        Control time at which the final goal is reached [s]; nan where it is not predicted.
     cost : float
         Value of the optimal control problem, in the strategy's own units; nan where none.
     iterations : int
         Solver iterations spent.
     kkt_residual : float
         First-order optimality of the solution; nan where none.
+    work : int
+        Cost of the solve in microseconds or so, the same on every machine.
     solve_time : float
         Wall time spent [s], steady clock.
-    message : str
-        One line that explains the status.
-    given_up : str
-        What is given up of the goal and why; empty where nothing is.
-    unreachable : Kind or None
-        Why the goal cannot be reached even without the areas to keep out of, which may move; None
-        where it may be.
+    turns : int
+        Whole turns of steady rolling that were left out of the problem.
     motion : int
-        Number of the motion that it is the rest of; 0 where none was planned.
+        Number of the motion that the plan is the rest of; 0 where none was planned.
+    """
+
+    cost: float = math.nan
+    iterations: int = 0
+    kkt_residual: float = math.nan
+    work: int = 0
+    solve_time: float = 0.0
+    turns: int = 0
+    motion: int = 0
+
+
+_UNKNOWN = Made()
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Rotor speeds from now on and the states that they are predicted to lead to.
+
+    All times are those of the situation that it was made for: control time, but for a search,
+    whose plans begin at time 0 until they are `delayed`.
+
+    Attributes
+    ----------
+    status : PlanStatus
+        Origin and quality of the plan.
+    hold : FirstOrderHold
+        Rotor speeds [rad/s]; the first knot is at the sampling instant.
+    states : ndarray, shape (K, 9)
+        Predicted states at the knots of `hold`; of one that stops that at its start.
+    leg : Leg
+        Leg that it ends at, whose goal is the member at which it ends, since the arrival; nan
+        if not told.
+    error : float
+        Predicted terminal error [-], inf where it is not finite, nan where it is not told. Of a
+        minimum-time problem it is the sum of the absolute residuals, else the norm in R^6.
     clearance : float
         Clearance that it is certified to keep from what is on the floor [m], infinite where
         nothing is; nan where no motion is planned.
-    beyond : float
-        Length of the way from its end to the goal [m], where it ends on the way there.
+    conditions : tuple of Condition
+        What it does (`Kind.PLANNED`), what it gives up of the goal (`Kind.GIVEN_UP`), and why the
+        goal is unreachable whatever moves on the floor.
     until : float
-        Control time before which no other plan is wanted while nothing new is known [s], see
-        `Controller`; -inf where each sampling instant has one of its own.
+        Time before which no other plan is wanted while nothing new is known [s], see `Controller`;
+        -inf where each sampling instant has one of its own.
     tolerance : float
         Difference of the estimated state from the predicted one that is nothing new, in R^6.
+    made : Made
+        How it was made.
     """
 
     status: PlanStatus
     hold: FirstOrderHold
     states: Vector
-    goal: Goal = _NOT_TOLD
+    leg: Leg = _NOWHERE
     error: float = math.nan
-    remaining_time: float = 0.0
-    final: Vector | None = None
-    turns: int = 0
-    work: int = 0
-    arrival: float = math.nan
-    cost: float = math.nan
-    iterations: int = 0
-    kkt_residual: float = math.nan
-    solve_time: float = 0.0
-    message: str = ""
-    given_up: str = ""
-    unreachable: Kind | None = None
-    motion: int = 0
     clearance: float = math.nan
-    beyond: float = 0.0
+    conditions: tuple[Condition, ...] = ()
     until: float = -math.inf
     tolerance: float = 0.0
+    made: Made = _UNKNOWN
+
+    @property
+    def end(self) -> float:
+        """Time of its arrival at the end of the leg [s]; nan if not told."""
+        return self.leg.goal.since
 
     @property
     def duration(self) -> float:
-        """Time from time 0 to the arrival at its own goal [s], of the plan of a search."""
-        return self.hold.end
+        """Time from its start to the arrival at the end of the leg [s]."""
+        return self.leg.goal.since - self.hold.start
+
+    @property
+    def arrival(self) -> float:
+        """Time of the arrival at the goal of the course that is aimed at [s]; nan if not told."""
+        return self.leg.goal.since + self.leg.time_left
 
     @property
     def momentum(self) -> Vector:
         """Predicted momentum at its end, shape (3,) [rad/s; world frame]."""
         return self.states[-1, MOMENTUM]
-
-    def delayed(self, time: float) -> "Plan":
-        """Return a plan that begins at time 0 in control time, put in force at `time` [s]."""
-        return replace(
-            self, hold=self.hold.delayed(time),
-            goal=replace(self.goal, since=self.goal.since + time),
-            arrival=time + self.duration + self.remaining_time,
-        )
 
     @property
     def stops(self) -> bool:
@@ -142,26 +143,90 @@ class Plan:
         saturated = self.status is PlanStatus.SATURATED and len(self.states) < 2
         return saturated or self.status is PlanStatus.RAMP_TO_REST
 
-    def state_at(self, time: float, constants: Vector, disturbance: Disturbance) -> Vector:
-        """Return the state predicted for control time `time` [s], shape (9,)."""
+    @property
+    def message(self) -> str:
+        """What it does, or why it does no more; empty if not told."""
+        planned = [text for kind, text, _ in self.conditions if kind is Kind.PLANNED]
+        return planned[0] if planned else ""
+
+    @property
+    def limitation(self) -> Condition | None:
+        """What it gives up of the goal and why; None where that is nothing."""
+        found = [one for one in self.conditions if one.kind is not Kind.PLANNED]
+        return found[0] if found else None
+
+    @property
+    def given_up(self) -> str:
+        """The text of its limitation, empty without one."""
+        limitation = self.limitation
+        return "" if limitation is None else limitation.text
+
+    @property
+    def unreachable(self) -> Kind | None:
+        """Why the goal is unreachable whatever moves on the floor; None where it may not be."""
+        limitation = self.limitation
+        if limitation is None or not limitation.kind.is_unreachable:
+            return None
+        return limitation.kind
+
+    def giving_up(self, reason: str) -> "Plan":
+        """Return the plan with what it gives up of the goal and why; itself if that is empty."""
+        if not reason:
+            return self
+        told = *self.conditions, Condition(Kind.GIVEN_UP, reason)
+        return replace(self, conditions=told)
+
+    def at(self, time: float, constants: LumpedConstants, disturbance: Disturbance) -> Vector:
+        """Return the state predicted for a time [s], shape (9,)."""
         hold, passed = self.hold, self.hold.knots_until(time)
         begin = min(passed, len(self.states)) - 1
         times = [*hold.times[begin:passed].tolist(), time]
         speeds = np.vstack((hold.speeds[begin:passed], hold.at(time)))
         return roll_out(
-            self.states[begin], speeds, np.diff(times), constants, disturbance=disturbance
+            self.states[begin], speeds, np.diff(times), constants.as_array(),
+            disturbance=disturbance,
         )[-1]
 
-    def distance_left(self, now: float) -> float:
+    def rest(self, now: float) -> FirstOrderHold:
+        """Return what is left of the rotor speeds from `now` [s] on."""
+        return self.hold.starting_at(now, self.hold.at(now))
+
+    def delayed(self, offset: float) -> "Plan":
+        """Return the same plan `offset` seconds later."""
+        goal = replace(self.leg.goal, since=self.leg.goal.since + offset)
+        return replace(self, hold=self.hold.delayed(offset), leg=replace(self.leg, goal=goal))
+
+    def spliced(self, hold: FirstOrderHold, states: Vector) -> "Plan":
+        """Return the plan with speeds and states, shape (K, 9), that follow from its end on.
+
+        The first knot is its own last one. It still ends at the same leg, at the same time.
+        """
+        return replace(
+            self, hold=self.hold.followed_by(hold), states=np.vstack((self.states, states[1:]))
+        )
+
+    def continued(self, later: "Plan") -> "Plan":
+        """Return one plan of this and of a later one, which begins where and when this one ends.
+
+        It ends at the leg of the later one.
+        """
+        both = self.spliced(later.hold, later.states)
+        return replace(later, hold=both.hold, states=both.states)
+
+    def way_left(self, now: float) -> float:
         """Return the length of the way to the goal from `now` [s] on [m]; nan without a plan.
 
         It is straight between knots.
         """
-        times, places = self.hold.times, self.states[:, POSITION]
-        if len(places) < 2:
+        hold, states = self.hold, self.states
+        if len(states) < 2:
             return 0.0 if self.status is PlanStatus.HOLDING else float("nan")
-        times = times[: len(places)]
+        count = len(states) if math.isnan(self.end) else min(
+            len(states), hold.knots_until(self.end)
+        )
+        times, places = hold.times[:count], states[:count, POSITION]
         now = min(max(now, float(times[0])), float(times[-1]))
         here = [[np.interp(now, times, places[:, axis]) for axis in (0, 1)]]
         ahead = np.concatenate((here, places[times > now]))
-        return self.beyond + float(np.sum(np.linalg.norm(np.diff(ahead, axis=0), axis=1)))
+        way = float(np.sum(np.linalg.norm(np.diff(ahead, axis=0), axis=1)))
+        return self.leg.way_left + way

@@ -62,16 +62,19 @@ class PlanKeepingStrategy(PaperStrategy):
         if is_zero(situation.momentum, situation.disturbance):  # the same in half the time
             return super().plan(situation)
         end = self._momentum_at_end(situation)
-        goal = holdable_goal(situation.goal, end, situation.disturbance)
-        plan = super().plan(replace(situation, goal=goal))
+        situation = situation.nearest_to(situation.state)
+        given = situation.goal.pose
+        goal = holdable_goal(given, end, situation.disturbance)
+        plan = super().plan(situation.aimed_at(situation.aim(goal)))
+        status, given_up = plan.status, changed_orientation(angle_error(goal, given))
         if is_saturated(situation.momentum, goal[QUATERNION], self._robot.max_rotor_speed):
-            return replace(plan, status=PlanStatus.SATURATED, given_up=SATURATED)
-        return replace(plan, given_up=changed_orientation(angle_error(goal, situation.goal)))
+            status, given_up = PlanStatus.SATURATED, SATURATED
+        return replace(plan, status=status).giving_up(given_up)
 
     def _rest(self, situation: Situation) -> Vector:
         """Return the speeds of rest at the end of the horizon [rad/s], shape (2,)."""
         end, limit = self._momentum_at_end(situation), self._robot.max_rotor_speed
-        return speeds_of_rest(end, situation.goal[QUATERNION], limit)
+        return speeds_of_rest(end, situation.goal.pose[QUATERNION], limit)
 
     def _problem(self, situation: Situation, times: Vector) -> LeastSquaresProblem:
         problem = super()._problem(situation, times)

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rest and stops: commands that bring the sphere to rest, and hold the momentum there."""
 
-from dataclasses import replace
-
 import numpy as np
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.disturbance import Disturbance, is_zero, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -13,11 +12,9 @@ from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
-REST_TIME = 1.0
-"""Time for which a command goes on to hold the momentum at its end [s], should no other follow."""
-_SPACING = 0.25
-"""Spacing of the knots along which a command follows the momentum [s]; on a slope the speeds of
-rest change linearly, and an imbalance turns with the sphere, which rests."""
+_AFTER: Vector = np.array((0.25, 0.5, 0.75, 1.0))
+"""Times after an arrival [s] at which a command holds the momentum, should no other follow: on a
+slope the speeds of rest change linearly, and an imbalance turns with the sphere, which rests."""
 
 
 def speeds_of_rest(momentum: Vector, quaternion: Vector, max_speed: float) -> Vector:
@@ -28,49 +25,59 @@ def speeds_of_rest(momentum: Vector, quaternion: Vector, max_speed: float) -> Ve
 
 
 def hold_momentum(
-    hold: FirstOrderHold, momentum: Vector, disturbance: Disturbance, quaternion: Vector,
-    max_speed: float, duration: float = REST_TIME,
+    arrival: FirstOrderHold, momentum: Vector, disturbance: Disturbance, quaternion: Vector,
+    max_speed: float,
 ) -> FirstOrderHold:
-    """Return the hold to an arrival, extended to keep the sphere at rest for `duration` [s].
+    """Return what follows an arrival to keep the sphere at rest, for a second.
 
     `momentum` is that at the arrival; up to `max_speed` [rad/s] the rotors hold the momentum.
     """
-    steps = max(1, round(duration / _SPACING))
-    after = duration * np.arange(1, steps + 1) / steps
-    speeds: Vector = np.zeros((steps, INPUT_SIZE))
+    held: Vector = np.zeros((_AFTER.size, INPUT_SIZE))
     if not is_zero(momentum, disturbance):
-        speeds = speeds_at_rest(momentum, disturbance, quaternion, after)
-        speeds = np.minimum(np.maximum(speeds, -max_speed), max_speed)
-    return hold.followed_by(FirstOrderHold(
-        np.append(hold.end, hold.end + after), np.vstack((hold.speeds[-1], speeds))
-    ))
+        held = speeds_at_rest(momentum, disturbance, quaternion, _AFTER)
+        held = np.minimum(np.maximum(held, -max_speed), max_speed)
+    end = arrival.end
+    return FirstOrderHold(
+        np.append(end, end + _AFTER), np.vstack((arrival.speeds[-1], held))
+    )
 
 
 def come_to_rest(
     situation: Situation, robot: RobotParameters, message: str,
-    status: PlanStatus = PlanStatus.HOLDING,
+    status: PlanStatus = PlanStatus.HOLDING, *limitations: Condition,
 ) -> Plan:
-    """Return a plan that brings the rotors to the speeds of rest and holds the momentum."""
+    """Return a plan that brings the rotors to the speeds of rest and holds the momentum.
+
+    `limitations` is what it gives up of the goal.
+    """
     momentum, quaternion = situation.momentum, situation.state[QUATERNION]
     limit = robot.max_rotor_speed
     target = speeds_of_rest(momentum, quaternion, limit)
     # The rotors rest, but for the speeds that hold the momentum.
-    beyond = FirstOrderHold.constant(situation.time, situation.input_in_force - target)
+    beyond = FirstOrderHold.constant(situation.time, situation.speeds - target)
     ramp = beyond.stop(situation.time, robot.max_rotor_acceleration)
     hold = FirstOrderHold(ramp.times, ramp.speeds + target)
-    hold = hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
-    states: Vector = situation.state[None, :]
-    return Plan(status, hold, states, message=message)
+    hold = hold.followed_by(
+        hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
+    )
+    return _plan(situation, hold, message, status, *limitations)
 
 
-def stop(situation: Situation, robot: RobotParameters, message: str, given_up: str = "") -> Plan:
+def stop(
+    situation: Situation, robot: RobotParameters, message: str, *limitations: Condition
+) -> Plan:
     """Return a plan to rest on the path in force, which what is on the floor is clear of."""
-    status, in_force = PlanStatus.RAMP_TO_REST, situation.in_force
-    moving = bool(np.any(situation.input_in_force)) and situation.has_small_momentum
-    if in_force is None or not moving:
-        plan = come_to_rest(situation, robot, message, status)
-        return replace(plan, given_up=given_up)
-    in_force = in_force.starting_at(situation.time, situation.input_in_force)
-    limit = min(robot.max_rotor_acceleration, situation.acceleration)
-    hold = in_force.stop(situation.time, limit)
-    return Plan(status, hold, situation.state[None, :], message=message, given_up=given_up)
+    status = PlanStatus.RAMP_TO_REST
+    if not (situation.speeds.any() and situation.has_small_momentum):
+        return come_to_rest(situation, robot, message, status, *limitations)
+    limit = min(robot.max_rotor_acceleration, situation.plant.acceleration)
+    hold = situation.in_force.stop(situation.time, limit)
+    return _plan(situation, hold, message, status, *limitations)
+
+
+def _plan(
+    situation: Situation, hold: FirstOrderHold, message: str, status: PlanStatus,
+    *limitations: Condition,
+) -> Plan:
+    told = Condition(Kind.PLANNED, message), *limitations
+    return Plan(status, hold, situation.state[None, :], conditions=told)

@@ -170,8 +170,8 @@ def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
         goals=(Goal(plan.scenario.goal),), plans=tuple(trajectory.holds),
         solves=Solves(
             np.array(starts),
-            np.array([decision.plan.solve_time for decision in tracked]),
-            np.array([decision.plan.cost for decision in tracked]),
+            np.array([decision.plan.made.solve_time for decision in tracked]),
+            np.array([decision.plan.made.cost for decision in tracked]),
             tuple(decision.plan.status.value for decision in tracked),
             np.array([decision.plan.arrival for decision in tracked]) - np.array(starts),
         ),

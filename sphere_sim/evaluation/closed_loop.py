@@ -11,6 +11,7 @@ import numpy as np
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import Vector
@@ -53,18 +54,19 @@ class Trajectory:
 
 
 def run_closed_loop(
-    simulator: Simulator, controller: Controller, goal: Vector | Goal, duration: float,
-    control_period: float, output_period: float = 0.01, latency: float = 0.0,
+    simulator: Simulator, controller: Controller, goal: Vector | Goal | Course,
+    duration: float, control_period: float, output_period: float = 0.01, latency: float = 0.0,
     push: Push | None = None, poses: Callable[[], list[tuple[int, Vector]]] | None = None,
 ) -> Trajectory:
-    """Simulate a plant at its start under a new controller with a goal, a set or shape (6,).
+    """Simulate a plant under a new controller with a goal, a set or shape (6,), or a course.
 
-    The run lasts `duration`, with a sampling instant every `control_period` and a row of the
-    trajectory every `output_period`, which the controller does not see [s]. `latency` is the age
-    of the newest pose at a sampling instant [s]; its stamp is the time of measurement, and before
-    the run the sphere is measured at rest. `poses` returns stamps [ns] and poses, shape (6,), that
-    are new; by default they are those of the simulator's sensor. `InvalidParameterError` is raised
-    if a latency is given for a source of poses that has stamps of its own.
+    The run begins at the start of the plant and lasts `duration`, with a sampling instant every
+    `control_period` and a row of the trajectory every `output_period`, which the controller does
+    not see [s]. `latency` is the age of the newest pose at a sampling instant [s]; its stamp is
+    the time of measurement, and before the run the sphere is measured at rest. `poses` returns
+    stamps [ns] and poses, shape (6,), that are new; by default they are those of the simulator's
+    sensor. `InvalidParameterError` is raised if a latency is given for a source of poses that has
+    stamps of its own.
     """
     plain = poses is None and simulator.settings.is_sensor_plain
     if latency and not plain:

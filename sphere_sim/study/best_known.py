@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
-from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     MOMENTUM,
@@ -93,9 +93,9 @@ def best_known_time(
         return BestKnownTimes(0.0, 0.0)
     robot = within_torque(robot)
     goal = nearer_sign(nearest, motion.start)
-    situation = Situation(
-        0.0, motion.start, goal, motion.speeds, robot.lumped, disturbance=motion.disturbance,
-        orientation=motion.orientation,
+    situation = Situation.of(
+        0.0, motion.start, Goal(goal, motion.orientation), motion.speeds, robot.lumped,
+        disturbance=motion.disturbance,
     )
     solver = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing), _TUNING)
     fine = ArrivalSolver(robot, Grid.of(robot, _TUNING.spacing / _FINER), _TUNING)
@@ -120,21 +120,22 @@ def _settling(arrival: Plan, situation: Situation) -> float:
     suffice, also of a motion with whole turns, which its solution does not integrate.
     """
     hold = arrival.hold
-    knot = max(0, (settling_index(_errors(arrival.states, arrival, situation)) or 0) - 1)
+    knot = max(0, (settling_index(_errors(arrival.states, arrival)) or 0) - 1)
     times = np.arange(hold.times[knot], hold.end, _RESOLUTION)
     times = np.unique(np.concatenate((times, hold.times[knot:])))
     states = roll_out(
         arrival.states[knot], np.array([hold.at(time) for time in times]), np.diff(times),
         situation.constants.as_array(), _STEP, situation.disturbance,
     )
-    index = settling_index(_errors(states, arrival, situation))
+    index = settling_index(_errors(states, arrival))
     return hold.end if index is None else float(times[index])
 
 
-def _errors(states: Vector, arrival: Plan, situation: Situation) -> Vector:
+def _errors(states: Vector, arrival: Plan) -> Vector:
     """Return the distance of each state, (K, 9), from the nearest member of the goals, (K,)."""
     poses = states[:, POSE]
-    return state_errors(poses, situation.orientation.nearest_of(arrival.goal.pose, poses))
+    goal = arrival.leg.goal
+    return state_errors(poses, goal.orientation.nearest_of(goal.pose, poses))
 
 
 def _searched(
@@ -145,7 +146,7 @@ def _searched(
     Few guesses lead to a far goal with momentum. The search is therefore continued from an arrival
     without, from which momentum and disturbance are raised in steps.
     """
-    is_there = state_error(situation.state, situation.goal) < SETTLED_ERROR
+    is_there = state_error(situation.state, situation.goal.pose) < SETTLED_ERROR
     # At the goal a sphere without momentum would be there in no time.
     if is_there or is_zero(situation.momentum, situation.disturbance):
         return ArrivalSearch(solver, situation, seed).improve(work)

@@ -110,7 +110,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
 
 
 def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:
-    planned = [d.plan.solve_time for d in trajectory.decisions if d.solved and d.is_new]
+    planned = [d.plan.made.solve_time for d in trajectory.decisions if d.solved and d.is_new]
     solve_times = np.array(planned)
     speeds = np.vstack((trajectory.speeds, inputs.speeds))
     measured = measure(
@@ -216,13 +216,13 @@ def _value_decrease(
     settings = conditions.controller
     judged = broken = 0
     for k, decision in enumerate(decisions):
-        if decision.state is None or not decision.solved or math.isnan(decision.plan.cost):
+        if decision.state is None or not decision.solved or math.isnan(decision.plan.made.cost):
             continue
         report = monitor.update(
             Sample(
                 time=k * settings.control_period,
                 state=settings.units.scaled(decision.state[POSE]),
-                goal=settings.units.scaled(goal), value=decision.plan.cost,
+                goal=settings.units.scaled(goal), value=decision.plan.made.cost,
                 next_input=decision.plan.hold.speeds[1], input_weight=settings.alpha,
                 terminal_weight=settings.terminal_weight,
                 max_speed=conditions.robot.max_rotor_speed,

@@ -62,7 +62,7 @@ def _written(situation: Any, plan: Plan) -> Plan:
 def _claimed(situation: Any, plan: Plan) -> Plan:
     """Return a plan that rolls straight on, whatever is there, and says that it keeps clear."""
     times = situation.time + np.array([0.0, 1.0, 3.0])
-    speeds = np.vstack((situation.input_in_force, np.full((2, 2), 50.0)))
+    speeds = np.vstack((situation.speeds, np.full((2, 2), 50.0)))
     states = np.tile(situation.state, (3, 1))
     return Plan(PlanStatus.SOLVED, FirstOrderHold(times, speeds), states, clearance=1.0)
 

@@ -16,6 +16,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, without_momentum
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import (
@@ -108,7 +109,7 @@ def test_the_certificate_bounds_the_clearance_of_the_motion() -> None:
         state[6:] = (0.0, rng.normal())[k % 3 == 0] * rng.normal(size=3)
         times = np.cumsum(rng.uniform(0.05, 0.5, 5)) - 0.05
         hold = FirstOrderHold(times - times[0], rng.uniform(-60.0, 60.0, (5, 2)))
-        now = Situation(0.0, state, state[:6], STILL, ROBOT.lumped, floor=floor)
+        now = Situation.of(0.0, state, state[:6], STILL, ROBOT.lumped, floor=floor)
         refused.append(math.isnan(both(now, hold, floor.needed)))
         found = clearance_of(now, hold, Margin.FOUND)
         exact = least_distance(floor, path_of(state, hold)) - RADIUS
@@ -128,7 +129,7 @@ def test_the_certificate_bounds_the_clearance_of_the_motion() -> None:
 def on_a_line(distance: float) -> Situation:
     """Situation at a distance [m] from the wall of a floor, on a line where bounds are exact."""
     state = without_momentum(pose(3.0 - distance, 2.0))
-    return Situation(0.0, state, pose(1.0, 2.0), STILL, ROBOT.lumped, floor=floor_of(CLOSED))
+    return Situation.of(0.0, state, pose(1.0, 2.0), STILL, ROBOT.lumped, floor=floor_of(CLOSED))
 
 
 def rolled(way: float) -> FirstOrderHold:
@@ -178,7 +179,7 @@ def test_the_bound_of_the_way_holds_with_momentum_and_imbalance(robot: RobotPara
         disturbance = Disturbance(imbalance=most * centre / np.linalg.norm(centre))
         speeds = rng.uniform(-100.0, 100.0, 2) * (k % 3 > 0)
         hold = FirstOrderHold(np.array([0.0, 0.02]), np.vstack((speeds, speeds)))
-        now = Situation(0.0, state, pose(1.0, 1.0), STILL, constants, disturbance=disturbance)
+        now = Situation.of(0.0, state, pose(1.0, 1.0), STILL, constants, disturbance=disturbance)
         path, _, lengths = profile_of(now, hold, 1e-3)
         ways = np.linalg.norm(np.diff(path, axis=0), axis=1)
         assert ways.size == lengths.size and (ways <= lengths + 1e-9).all()
@@ -209,7 +210,7 @@ def test_no_robot_rolls_faster_than_the_bound_of_speed_and_some_nearly_as_fast()
     for k, constants in enumerate(given):
         state = without_momentum(pose(0.0, 0.0))
         unit = constants.shell_radius * constants.input_gain
-        resting = Situation(0.0, state, state[:6], STILL, constants)
+        resting = Situation.of(0.0, state, state[:6], STILL, constants)
         moved = replace(resting, state=np.concatenate((state[:6], [1.0, 0.0, 0.0])))
         for now, rotors in ((resting, True), (moved, False)):
             factor = bound_of_speed(now) / unit
@@ -244,7 +245,7 @@ def test_what_is_told_of_a_start_without_clearance_bounds_the_clearance_of_the_m
 def test_one_radius_is_asked_for_everywhere() -> None:
     now = on_a_line(0.8)
     larger, smaller = (
-        replace(now, constants=replace(ROBOT.lumped, shell_radius=radius))
+        replace(now, plant=PlantEstimate(replace(ROBOT.lumped, shell_radius=radius)))
         for radius in (0.36, 0.2)
     )
     assert (larger.radius, smaller.radius) == (0.36, RADIUS)
@@ -266,5 +267,5 @@ def test_a_goal_at_just_the_distance_is_not_refused_as_the_learnt_radius_varies(
     start, goal = without_momentum(pose(3.0, 2.0)), pose(floor.needed, 2.0)
     for learnt in RADIUS + 1e-3 * np.linspace(-0.5, 0.5, 11):
         constants = replace(ROBOT.lumped, shell_radius=float(learnt))
-        now = Situation(0.0, start, goal, STILL, constants, floor=floor)
+        now = Situation.of(0.0, start, goal, STILL, constants, floor=floor)
         assert refusal(now, floor) is None

@@ -3,11 +3,13 @@
 """Strategies of other packages that raise, return or write what they should not."""
 
 import math
+import re
 import signal
 import sys
 import types
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,21 +17,24 @@ import pytest
 from given_plans import Given, plan_of
 from sampled_loop import ROBOT
 
-from sphere_nmpc.conditions import Kind
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.foreign_code import called
+from sphere_nmpc.model.course import Leg, LegEnd
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import POSITION, STATE_SIZE, upright_state
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.strategy.contract import MOST_KNOTS, Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
 from sphere_nmpc.worker.in_line import InLine
 
 SETTINGS = ControllerSettings()
+NOISY = ControllerSettings(pose_position_noise=1e-3, pose_orientation_noise=1e-3)
 START, GOAL = upright_state(0.0, 0.0, 0.0), upright_state(1.0, 0.0, 0.0)
 PERIOD = 0.25
 
@@ -99,8 +104,11 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> ControllerSettings:
     return ControllerSettings(strategy="foreign")
 
 
-def begun(make: Callable[[Situation], Any] = rolling, floor: Floor | None = None) -> Controller:
-    controller = Controller(SETTINGS, ROBOT, Given(make))
+def begun(
+    make: Callable[[Situation], Any] = rolling, floor: Floor | None = None,
+    settings: ControllerSettings = SETTINGS,
+) -> Controller:
+    controller = Controller(settings, ROBOT, Given(make))
     controller.floor = floor
     controller.set_goal(GOAL)
     controller.observe(0.0, START)
@@ -196,6 +204,10 @@ class Other(Plan):
     """Plan with methods of its own."""
 
 
+class OtherLeg(Leg):
+    """Leg with methods of its own."""
+
+
 class OtherHold(FirstOrderHold):
     """Hold with methods of its own."""
 
@@ -218,10 +230,30 @@ WRONG = {
     "a generator": lambda now: replace(rolling(now), states=iter(int, 1)),
     "text": lambda now: replace(rolling(now), states="states"),
     "nan": lambda now: replace(rolling(now), states=np.full((1, STATE_SIZE), math.nan)),
-    "a status": lambda now: replace(rolling(now), status="solved"),
-    "a message": lambda now: replace(rolling(now), message=b"bytes"),
-    "a time": lambda now: replace(rolling(now), until="soon"),
-    "a goal": lambda now: replace(rolling(now), goal=None),
+}
+WRONG_TYPES = {
+    "the status": {"status": "solved"},
+    "a time": {"until": "soon"},
+    "the leg": {"leg": Goal(GOAL)},
+    "another leg": {"leg": OtherLeg(Goal(GOAL))},
+    "a goal": {"leg": Leg(None)},
+    "the end of a leg": {"leg": Leg(Goal(GOAL), "through")},
+    "the time left": {"leg": Leg(Goal(GOAL), LegEnd.THROUGH, time_left="a while")},
+    "the time of an arrival": {"leg": Leg(Goal(GOAL, since="later"))},
+    "how it was made": {"made": {"cost": 1.0}},
+    "a cost": {"made": Made(cost="much")},
+    "a count": {"made": Made(iterations=0.5)},
+    "conditions": {"conditions": "given up"},
+    "a list of conditions": {"conditions": [Kind.GIVEN_UP.alone]},
+    "a condition": {"conditions": ("given up",)},
+    "a tuple": {"conditions": ((Kind.PLANNED, "rolls", ""),)},
+    "a kind": {"conditions": (Condition("planned"),)},
+    "a message": {"conditions": (Condition(Kind.PLANNED, b"bytes"),)},
+}
+"""Values of a plan's fields that are of other types."""
+WRONG |= {
+    name: lambda now, values=values: replace(rolling(now), **values)
+    for name, values in WRONG_TYPES.items()
 }
 
 
@@ -233,13 +265,26 @@ def test_what_is_no_plan_counts_as_a_failure(wrong) -> None:
     assert "\n" not in decision.plan.message and len(decision.plan.message) < 200
 
 
-@pytest.mark.parametrize("name", ["state", "goal", "input_in_force", "goal_rate"])
+@pytest.mark.parametrize("values", WRONG_TYPES.values(), ids=WRONG_TYPES)
+def test_field_of_another_type_is_refused_in_a_line_that_names_what_was_given(values) -> None:
+    controller = begun(lambda now: replace(rolling(now), **values))
+    assert controller.decide(0.0).mode is Kind.FALLBACK
+    assert re.fullmatch(
+        r"TypeError: plan: given (the \w+ .+, expected another type|\w+, expected \w+)",
+        controller.last_failure,
+    )
+
+
+@pytest.mark.parametrize("name", [
+    "state", "goal.pose", "goal.rate", "speeds", "in_force.speeds", "in_force.times",
+    "plant.deviations", "covariance",
+])
 def test_arrays_of_a_situation_cannot_be_written_to(name) -> None:
     def writes(situation: Situation) -> Plan:
-        getattr(situation, name)[...] = 7.0
+        attrgetter(name)(situation)[...] = 7.0
         return rolling(situation)
 
-    controller = begun(writes)
+    controller = begun(writes, settings=NOISY)
     decision = controller.decide(0.0)
     assert decision.mode is Kind.FALLBACK
     assert "read-only" in controller.last_failure
@@ -264,7 +309,7 @@ def test_disturbance_and_floor_of_a_situation_cannot_be_written_to() -> None:
     controller = begun(floor=walled())
     controller.set_goal(NEAR)
     controller.commit(controller.decide(0.0), 0.0)
-    controller._strategy = Given(writes)
+    controller._planner.strategy = Given(writes)
     controller.observe(0.2, START)
     controller.decide(PERIOD)
     assert len(refused) == 6
@@ -335,7 +380,8 @@ def test_plan_begins_at_the_present_and_keeps_the_limits_before_it_is_certified(
 
 def test_text_of_a_plan_is_one_printable_line() -> None:
     text = "a\nb\x1b[31m" + 10_000 * "x"
-    plan = begun(lambda now: replace(rolling(now), message=text, given_up=text)).decide(0.0).plan
+    told = tuple(Condition(kind, text) for kind in (Kind.PLANNED, Kind.GIVEN_UP))
+    plan = begun(lambda now: replace(rolling(now), conditions=told)).decide(0.0).plan
     for line in (plan.message, plan.given_up):
         assert line.isprintable() and len(line) <= 600
 

@@ -11,10 +11,12 @@ import pytest
 from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.monitors import relative_error
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
+from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import (
     POSITION,
     Vector,
@@ -38,14 +40,14 @@ LONGEST = 12.0
 """Time within which the ideal sphere is at a near goal [s]; it takes 4 s."""
 
 
-def goal_sequence(*poses: Vector, stamp: int = 1) -> GoalSequence:
-    return GoalSequence(tuple(Goal(pose) for pose in poses), stamp)
+def course(*poses: Vector, stamp: int = 1) -> ActiveCourse:
+    return ActiveCourse(Course.of(*map(Goal, poses)), stamp)
 
 
 def until_index(loop: SampledLoop, index: int) -> None:
     """Run until another goal of the list is aimed at."""
     end = loop.time + LONGEST
-    while loop.controller.goal_sequence.index < index:
+    while loop.controller.active.index < index:
         assert loop.time < end, loop.decision
         loop.run(loop.settings.control_period)
 
@@ -53,7 +55,7 @@ def until_index(loop: SampledLoop, index: int) -> None:
 def test_what_remains_is_that_of_all_goals() -> None:
     controller = SampledLoop(START).controller
     assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no goal"
-    controller.set_goals(goal_sequence(*SQUARE))
+    controller.follow(course(*SQUARE))
     assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no pose"
     controller.observe(0.0, START)
     time, way = controller.remaining(math.nan, math.nan)
@@ -68,24 +70,24 @@ def test_what_remains_is_that_of_all_goals() -> None:
 def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
     loop = SampledLoop(START)
     controller = loop.controller
-    assert controller.set_goals(goal_sequence(*SQUARE))
+    assert controller.follow(course(*SQUARE))
     for k, pose in enumerate(SQUARE[:-1]):
         loop.keep_from_now_on()
         until_index(loop, k + 1)
         assert not controller.at_goal, "other goals follow"
         assert min(loop.errors(pose)) < 1e-2
         if k == 0:  # a repeated list goes on
-            assert not controller.set_goals(goal_sequence(*SQUARE, stamp=2))
-            assert (controller.goal_sequence.index, controller.goal_sequence.stamp) == (1, 2)
+            assert not controller.follow(course(*SQUARE, stamp=2))
+            assert (controller.active.index, controller.active.stamp) == (1, 2)
     loop.run(LONGEST)
     assert controller.at_goal and loop.decision.mode is Kind.AT_GOAL
     assert loop.error(SQUARE[-1]) < 1e-2
-    assert controller.set_goals(goal_sequence(*SQUARE)), "all were visited: once more"
-    assert controller.goal_sequence.index == 0
+    assert controller.follow(course(*SQUARE)), "all were visited: once more"
+    assert controller.active.index == 0
     assert controller.plans >= 3
     until_index(loop, 1)
-    assert controller.set_goals(goal_sequence(*SQUARE[::-1])), "another list"
-    assert controller.goal_sequence.index == 0
+    assert controller.follow(course(*SQUARE[::-1])), "another list"
+    assert controller.active.index == 0
     np.testing.assert_array_equal(controller.goal, SQUARE[-1])
 
 
@@ -104,7 +106,8 @@ def test_tolerances_apart_count_by_the_larger_ratio(tolerances, position, angle,
     goal = upright_state(position, 0.0, angle)
     loop = SampledLoop(START, ControllerSettings(**tolerances), goal=goal)
     loop.sample()
-    assert relative_error(loop.decision, loop.settings) == pytest.approx(expected, rel=1e-3)
+    found = relative_error(loop.decision.state, loop.decision.goal, loop.settings)
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 def test_sphere_is_at_a_goal_that_it_need_not_be_turned_to() -> None:
@@ -122,7 +125,7 @@ def test_arrival_and_distance_are_told_from_the_first_plan_on() -> None:
         if loop.decision.mode is Kind.AT_GOAL:
             break
         arrivals.append(loop.decision.plan.arrival)
-        ways.append(loop.decision.plan.distance_left(loop.time))
+        ways.append(loop.decision.plan.way_left(loop.time))
     assert abs(np.nanmedian(arrivals) - (loop.time - loop.settings.period)) < 0.3
     rolled = np.sum(np.linalg.norm(np.diff(loop.places, axis=0), axis=1))
     # The pieces between knots count as straight, and the first plan was replaced by a better one.
@@ -136,7 +139,7 @@ SCENARIOS = draw_scenarios(12, 21, "anywhere")
 def duration(scenario: Scenario, kind: Orientation) -> float:
     """Return the duration of the first plan [s]."""
     goal, start = kind.nearest(scenario.goal, scenario.start), without_momentum(scenario.start)
-    situation = Situation(0.0, start, goal, np.zeros(2), ROBOT.lumped, orientation=kind)
+    situation = Situation.of(0.0, start, Goal(goal, kind), np.zeros(2), ROBOT.lumped)
     return make_strategy(SETTINGS, ROBOT).plan(situation).arrival
 
 
@@ -211,7 +214,7 @@ def followed(
         if count % 2 == 0 and now < gone:
             given = goal(now).copy()
             given[POSITION] += noise * rng.standard_normal(2)
-            loop.controller.set_goals(GoalSequence((Goal(given, kind),)), now)
+            loop.controller.follow(ActiveCourse(Course.of(Goal(given, kind))), now)
         loop.advance(0.5 * SPACING)
         near = kind.nearest(goal(loop.time), loop.pose)
         if loop.time > 8.0:
@@ -271,8 +274,8 @@ def test_another_goal_is_no_motion() -> None:
 def test_goal_after_a_list_is_another_one_however_near_to_that_before_it() -> None:
     controller, near = SampledLoop(START).controller, upright_state(0.05, 0.0, 0.0)
     for k, poses in enumerate(([START], [START, near], [near])):
-        assert controller.set_goals(goal_sequence(*poses), 0.1 * k)
-    assert controller.goal_sequence.is_last
+        assert controller.follow(course(*poses), 0.1 * k)
+    assert controller.active.is_last
 
 
 def test_rate_is_that_of_the_stamps_also_of_a_goal_that_turns() -> None:

@@ -51,10 +51,10 @@ def test_eq_42_compares_the_value_with_the_cost_of_the_knots_that_are_left(case:
     scenario, robot = PAPER_CASES[case], RobotParameters()
     settings = ControllerSettings(strategy="paper")
     start = without_momentum(scenario.start)
-    situation = Situation(0.0, start, scenario.goal, np.zeros(2), robot.lumped)
+    situation = Situation.of(0.0, start, scenario.goal, np.zeros(2), robot.lumped)
     plan = PaperStrategy(settings, robot).plan(situation)
     first = Sample(
-        0.0, scenario.start, scenario.goal, plan.cost, plan.hold.speeds[1],
+        0.0, scenario.start, scenario.goal, plan.made.cost, plan.hold.speeds[1],
         settings.alpha, settings.terminal_weight, robot.max_rotor_speed,
     )
     errors = np.sum((plan.states[:, POSE] - scenario.goal) ** 2, axis=1)
@@ -103,7 +103,7 @@ def test_value_function_of_case_1_falls_as_eq_42_says_though_the_error_does_not(
     monitor = StabilityMonitor()
     for k, (decision, state) in enumerate(zip(run.decisions, run.states, strict=False)):
         report = monitor.update(Sample(
-            0.5 * k, state, scenario.goal, decision.plan.cost, decision.plan.hold.speeds[1],
+            0.5 * k, state, scenario.goal, decision.plan.made.cost, decision.plan.hold.speeds[1],
             settings.alpha, settings.terminal_weight, robot.max_rotor_speed,
         ))
     # It enters D after 12.5 s, 25 samples; another solver may take another path there.

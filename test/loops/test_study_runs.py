@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
@@ -186,7 +187,8 @@ def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None
             (PlanStatus.RAMP_TO_REST, PlanStatus.RAMP_TO_REST, PlanStatus.SATURATED),
             ("the goal: no way", "the goal: it is occupied", "saturated"), strict=False,
         ):
-            plan = replace(decision.plan, status=status, given_up=words)
+            told = (Condition(Kind.GIVEN_UP, words),)
+            plan = replace(decision.plan, status=status, conditions=told)
             found.decisions.append(replace(decision, plan=plan))
         return found
 

@@ -5,6 +5,7 @@
 import itertools
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,11 @@ def search_of_any_length(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def situation(start: Vector, goal: Vector) -> Situation:
-    return Situation(0.0, without_momentum(start), goal, np.zeros(2), ROBOT.lumped)
+    return Situation.of(0.0, without_momentum(start), goal, np.zeros(2), ROBOT.lumped)
+
+
+def with_plant(now: Situation, **known: Any) -> Situation:
+    return replace(now, plant=replace(now.plant, **known))
 
 
 def of_case(case: int) -> Situation:
@@ -125,12 +130,12 @@ def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettin
             found.append(plan.hold.speeds)
             at = k * settings.control_period
             state = plan.states[min(1, len(plan.states) - 1)]
-            now = replace(now, time=at, state=state, input_in_force=plan.hold.at(at))
+            now = replace(now, time=at, state=state, in_force=plan.rest(at))
         return found
 
     used = planner(settings)
     plans(used, 2)
-    used.plan(replace(of_case(4), noise=0.02))
+    used.plan(with_plant(of_case(4), noise=0.02))
     used.reset()
     for found, wanted in zip(plans(used, 1), plans(planner(settings), 1), strict=True):
         np.testing.assert_array_equal(found, wanted)
@@ -138,11 +143,11 @@ def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettin
 
 def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
     now = of_case(3)
-    weak = replace(now, acceleration=0.5 * LIMIT)
+    weak = with_plant(now, acceleration=0.5 * LIMIT)
     assert steepest(planner().plan(weak)) <= 0.5 * LIMIT
     plan = planner().plan(now)
     assert plan.status is PlanStatus.SOLVED
-    same = planner().plan(replace(now, acceleration=1.1 * LIMIT))
+    same = planner().plan(with_plant(now, acceleration=1.1 * LIMIT))
     np.testing.assert_array_equal(same.hold.speeds, plan.hold.speeds)
     late = planner().plan(replace(now, time_budget=0.0))
     assert late.status is PlanStatus.RAMP_TO_REST and not np.any(late.hold.speeds)
@@ -153,7 +158,7 @@ def test_plan_that_is_followed_keeps_to_an_acceleration_learnt_meanwhile() -> No
     plan = used.plan(now)
     assert steepest(plan) > 1.2 * attained
     moving = later(now, plan.hold, SETTINGS.period, 0.05)
-    slower = used.plan(replace(moving, acceleration=attained))
+    slower = used.plan(with_plant(moving, acceleration=attained))
     assert slower.status is PlanStatus.SOLVED
     assert steepest(slower) < TUNING.attained_share * attained + 1e-3
 
@@ -179,7 +184,7 @@ def test_robot_with_a_short_sample_period_gets_a_plan() -> None:
     used = TimeOptimalStrategy(ControllerSettings(sample_period=0.25).of(GIANT), GIANT)
     start = as_state([0.84790488, 0.29017925, 0.19692412, -0.27732079, -0.44550596, -0.82815368])
     goal = as_state([1.47793416, -2.61861649, 0.02288625, 0.35419605, 0.7080808, -0.61044489])
-    now = replace(situation(start, goal), constants=GIANT.lumped)
+    now = with_plant(situation(start, goal), constants=GIANT.lumped)
     statuses = [used.plan(replace(now, time=0.25 * k)).status for k in range(5)]
     assert statuses[-1] is PlanStatus.SOLVED
 
@@ -227,7 +232,7 @@ def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(di
     # Steady rolling is integrated exactly in steps of any length. The direction, which is
     # corrected on the way, is within the terminal error.
     end = end_of(now.state, found.hold, SOLVER.grid.fine)
-    assert state_error(end, found.goal.pose) < distance * TUNING.arrival_error
+    assert state_error(end, found.leg.goal.pose) < distance * TUNING.arrival_error
     assert found.duration < distance / ROLLING.speed + 2.5
 
 

@@ -409,8 +409,9 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     robot.pass_time(1.0)
     status = robot.status()
     assert (status["goal_index"], status["goal_count"]) == ("1", "2"), "the first was reached"
-    robot.graph.until(lambda: len(robot.goals) == 3)
-    np.testing.assert_allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12)
+    # Of goals that follow each other at once a subscription may receive the last one alone.
+    robot.graph.until(lambda: len(robot.goals) > 1)
+    robot.graph.until(lambda: np.allclose(pose_from_ros(robot.goals[-1]), CASE.goal, atol=1e-12))
     assert status["goal_orientation"] == "full"
     assert status["active_goal_stamp"] == stamp_text(stamp_from_ros(robot.goals[-1].header.stamp))
 

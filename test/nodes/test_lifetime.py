@@ -127,7 +127,7 @@ class Foreign(TimeOptimalStrategy):
             threading.Thread(target=time.sleep, args=(3600.0,), name="own").start()
 
     def plan(self, situation):
-        if "thread" in sys.argv or abs(situation.input_in_force).max() < 5.0:
+        if "thread" in sys.argv or abs(situation.speeds).max() < 5.0:
             return super().plan(situation)
         while True:
             print("planning", flush=True)

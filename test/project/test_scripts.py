@@ -6,6 +6,8 @@ import re
 import runpy
 import subprocess
 import sys
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +19,22 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 import ablation
+import lists
 from documented_examples import EXAMPLES, forms, printed, run_example, section
 from parameter_tables import NODES, OF_ROBOT, PARTS, outputs, parameters_yaml
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation import estimator
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import in_sight, route_to
 from sphere_nmpc.floor.settings import FloorSettings
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import quantities
+from sphere_nmpc.ros.cdr import Clock
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
@@ -51,6 +58,24 @@ def test_no_instant_of_the_walk_makes_more_calls_than_committed() -> None:
     assert found.returncode == 0, f"{found.stdout}{found.stderr}"
 
 
+def test_walk_counts_records_however_they_are_made_and_none_that_is_compared() -> None:
+    meter = runpy.run_path(str(BENCH / "walk_meter.py"))["Meter"](counts=True)
+    hold, clock, robot = FirstOrderHold([0.0], [[0.0, 0.0]]), Clock(1), RobotParameters()
+    made = [
+        lambda: FirstOrderHold.constant(1.0, np.zeros(2)), lambda: replace(hold, times=[1.0]),
+        lambda: FirstOrderHold._unchecked(hold.times.copy(), hold.speeds.copy()),
+        lambda: copy(hold), lambda: Clock(1), lambda: Clock._make([1]),
+        lambda: clock._replace(stamp=3),
+        lambda: (hash(robot), robot == robot, clock == clock, repr(hold)),
+    ]
+    for make in made:
+        meter.run(make)
+        meter.end("made")
+    assert [walk.records for walk in meter.walks["made"]] == [
+        *[{"FirstOrderHold"}] * 4, *[{"Clock"}] * 3, set(),
+    ]
+
+
 @pytest.mark.parametrize(
     "numbers", [TimeOptimalSettings(leaving_error=7e-3), EstimatorSettings(window=7)]
 )
@@ -70,6 +95,25 @@ def test_ablated_run_has_its_settings_and_leaves_none_behind(monkeypatch, number
     seen.clear()
     Controller(conditions.controller, conditions.robot)
     assert seen and numbers not in seen
+
+
+def test_poses_of_a_list_count_as_visited_in_their_order_alone() -> None:
+    first, second, between = (upright_state(x, 0.0, 0.3) for x in (0.0, 1.0, 0.5))
+    times = 0.1 * np.arange(5)
+    path = np.array([second, between, first, between, second])
+    assert lists.visits(times, path, [first, second]) == [times[2], times[4]]
+    assert lists.visits(times, path, [second, second, first]) == [0.0, 0.0, times[2]]
+    assert lists.visits(times, path[:4], [first, second]) == [times[2]]
+
+
+@pytest.mark.slow
+def test_run_of_a_list_visits_its_poses_and_settles_at_the_last_one() -> None:
+    poses = [upright_state(0.0, 0.0, 0.0), upright_state(0.4, 0.0, 0.0),
+             upright_state(0.4, 0.3, 1.0)]
+    settled, visited, contacts = lists.run("nominal", poses, Floor.EMPTY, 1, 20.0)
+    assert len(visited) == 2 and visited[0] < visited[1] <= settled < 19.0 and contacts == 0
+    settled, visited, _ = lists.run("nominal", poses, Floor.EMPTY, 1, settled - 1.0)
+    assert settled == np.inf and len(visited) == 1, "it ends on the way"
 
 
 def values(settings: Any) -> dict[str, Any]:

@@ -36,7 +36,7 @@ class Given:
 def plan_of(situation: Situation, gaps: Vector, speeds: Vector, **values: Any) -> Plan:
     """Return a plan from the speeds in force on to others, (K, 2), each after a gap, (K,) [s]."""
     times = situation.time + np.cumsum([0.0, *gaps])
-    hold = FirstOrderHold(times, np.vstack((situation.input_in_force, speeds)))
+    hold = FirstOrderHold(times, np.vstack((situation.speeds, speeds)))
     states = np.tile(situation.state, (times.size, 1))
     return Plan(**{"status": PlanStatus.SOLVED, "hold": hold, "states": states, **values})
 

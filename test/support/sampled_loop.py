@@ -16,10 +16,11 @@ from motions import moved
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.estimation.pose_filter import Estimate, PlantEstimate
+from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSE, POSITION, Vector, state_error, without_momentum
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.settings import ControllerSettings
@@ -219,7 +220,7 @@ class Known:
     def __init__(self, loop: SampledLoop) -> None:
         self._loop = loop
         self._world, self.disturbance = loop.world, disturbance_of(loop.world, loop.robot)
-        self.plant = PlantEstimate(loop.robot.lumped, 0.0, 0.0, np.zeros(4))
+        self.plant = PlantEstimate(loop.robot.lumped)
 
     @property
     def newest(self) -> tuple[float, Vector]:

@@ -20,7 +20,7 @@ from solver_problems import make_problem
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native import library
-from sphere_nmpc.solver.problem import MinimumTimeProblem, SolverSettings
+from sphere_nmpc.solver.problem import End, MinimumTimeProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 from sphere_nmpc.solver.solve import solve
 
@@ -48,7 +48,9 @@ def ordinary_calls(n: int) -> None:
         problem = make_problem(
             kind, n, intervals=n, torques=disturbance.as_array(), fixed={}, **changes
         )
-        solve(problem, random_start(n), FEW)
+        for end in End:
+            ended = replace(problem, end=end, end_speeds=np.array([40.0, -300.0]))
+            solve(ended, random_start(n), FEW)
         if isinstance(problem, MinimumTimeProblem):
             for k in range(1, n):
                 solve(replace(problem, steady_interval=k, **rolling), random_start(n), FEW)

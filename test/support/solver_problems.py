@@ -8,7 +8,7 @@ import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
-from sphere_nmpc.solver.problem import LeastSquaresProblem, MinimumTimeProblem, Problem
+from sphere_nmpc.solver.problem import End, LeastSquaresProblem, MinimumTimeProblem, Problem
 
 U_MAX = 100.0  # rad/s
 
@@ -16,6 +16,8 @@ MOMENTUM = np.array([30.0, -20.0, 15.0])
 """Momentum [rad/s] as after a push of about 1 N s."""
 TORQUES = np.array([20.0, -5.0, 3.0, 4.0, -8.0])
 """A slope of about 1 degree, and the centre of mass 2 mm off."""
+
+AT_SPEED: dict[str, Any] = {"end": End.STATE, "end_speeds": np.array([40.0, -25.0])}
 
 LEAST_SQUARES: dict[str, dict[str, Any]] = {
     "paper": {"intervals": 4, "stage_weight": 1e-8, "input_weight": 5e-5},
@@ -45,6 +47,12 @@ LEAST_SQUARES: dict[str, dict[str, Any]] = {
         "turn_weights": np.array([0.5, 0.3, 0.0]), "goal_velocity": np.array([0.3, -0.1]),
         "position_scale": 0.4,
     },
+    "at speed, momentum": {
+        "intervals": 5, "input_weight": 1e-6, "momentum": MOMENTUM, "torques": TORQUES, **AT_SPEED,
+    },
+    "to rest, stages": {
+        "intervals": 4, "stage_weight": 0.3, "input_weight": 1e-4, "end": End.REST,
+    },
 }
 """Problems of least squares."""
 
@@ -55,19 +63,22 @@ DISTURBED: dict[str, Any] = {
 MOVING: dict[str, Any] = {
     "turn_weights": np.array([1.0, 1.0, 0.0]), "goal_velocity": np.array([0.3, -0.1]),
 }
-TO_REST: dict[str, Any] = {"fixed": {-1: (0.0, 0.0)}}
 MINIMUM_TIME: dict[str, dict[str, Any]] = {
     kind: {"intervals": 9, "max_acceleration": 400.0, "error_weight": 100.0, **changes}
     for kind, changes in {
-        "minimum time": TO_REST,
+        "minimum time": {},
         "disturbed": DISTURBED,
         "whole turns": {
             "durations": np.array([0.3, 0.2, 0.25, 0.25, 15.0, 0.2, 0.3, 0.25, 0.1]),
             "steady_interval": 4, "steady_axis": np.array([0.6, -0.8]), "whole_turns": 13.7,
-            "fixed": {3: (100.0, -100.0), 4: (100.0, -100.0), -1: (0.0, 0.0)},
+            "fixed": {3: (100.0, -100.0), 4: (100.0, -100.0)},
         },
-        "moving in minimum time": {**MOVING, **TO_REST},
+        "moving in minimum time": MOVING,
         "moving, disturbed": {**DISTURBED, **MOVING},
+        "at speed": AT_SPEED,
+        "at speed, disturbed": {**DISTURBED, **AT_SPEED},
+        "free end": {"end": End.FREE},
+        "free end, disturbed": {**DISTURBED, "end": End.FREE},
     }.items()
 }
 KINDS = LEAST_SQUARES | MINIMUM_TIME

@@ -8,9 +8,11 @@ from typing import Any
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Goals
 
+from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
+from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode
@@ -49,7 +51,7 @@ class GoalReceiver:
 
     def __init__(
         self, node: GuardedNode, clock: ControlClock, frame: str, orientation: Callable[[], str],
-        use: Callable[[GoalSequence], None], fault_log: FaultLog,
+        use: Callable[[ActiveCourse], None], fault_log: FaultLog,
     ) -> None:
         self._clock, self._frame, self._orientation = clock, frame, orientation
         self._use, self._fault_log = use, fault_log
@@ -75,7 +77,7 @@ class GoalReceiver:
             self._fault_log.report(f"{topic} refused", f"{error}; the goal in force stays")
             return
         stamp = stamp_from_ros(message.header.stamp) or self._clock.stamp()
-        self._use(GoalSequence(goals, stamp))
+        self._use(ActiveCourse(Course.of(*goals), stamp))
 
     def _pose(self, message: Any) -> tuple[Goal, ...]:
         pose = framed_pose_from_ros(message, self._frame)

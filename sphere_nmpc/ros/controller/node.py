@@ -23,13 +23,13 @@ from rclpy.timer import Timer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.goal_memory import goal_memory
 from sphere_nmpc.control.schedule import LockstepSchedule, PlanRequest, Schedule, TimedPose
 from sphere_nmpc.errors import InvalidValueError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
-from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.ros.cdr import Pose, fields, pose_in_frame
 from sphere_nmpc.ros.control_clock import ClockedNode, ControlClock
@@ -178,7 +178,7 @@ class ControllerNode(ClockedNode):
         now, watch = clock.now(), clock.watch
         jump = 0.0 if watch.is_steady else watch.step
         if now is not None:
-            has_goal = self.controller.goal_sequence is not None  # else nothing is to move
+            has_goal = self.controller.active is not None  # else nothing is to move
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
             self._monitor.stamps.moved(now, deviation)
             newest = self.controller.estimator.newest
@@ -203,7 +203,7 @@ class ControllerNode(ClockedNode):
 
     def _save_goal(self) -> None:
         controller = self.controller
-        self._stored_goal.save(controller.goal_sequence if controller.enabled else None)
+        self._stored_goal.save(controller.active if controller.enabled else None)
 
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
@@ -295,12 +295,12 @@ class ControllerNode(ClockedNode):
     def _use_floor(self, floor: Floor | None) -> None:
         self.controller.floor = floor
 
-    def _set_goals(self, goals: GoalSequence) -> None:
-        """Visit goals; those that are in force already are only confirmed."""
+    def _set_goals(self, goals: ActiveCourse) -> None:
+        """Follow a course; one that is in force already is only confirmed."""
         clock, wall = self._control_clock, time.monotonic()
         now = clock.steady_now()
         given = None if now is None else clock.own_time(goals.stamp, now)
-        is_new = self.controller.set_goals(goals, now if given is None else given)
+        is_new = self.controller.follow(goals, now if given is None else given)
         self._stored_goal.supersede()
         if not is_new and wall < self._goal_told + _GOAL_TOLD_EVERY:
             return
@@ -312,7 +312,7 @@ class ControllerNode(ClockedNode):
         if not self._start(now):
             self._reports.present()
         self._save_goal()
-        number = len(goals.goals)
+        number = len(goals.course.legs)
         several = f"first of {number}: " if number > 1 else ""
         self._event_log.report("goal", f"{several}{goals.goal}")
 

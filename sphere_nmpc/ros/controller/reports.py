@@ -97,26 +97,25 @@ class ControllerReports:
 
         One that is not new has been in force before.
         """
-        goals = self._controller.goal_sequence
-        if goals is not None:
-            self._published_index, self._active_goal = goals.index, stamp
+        active = self._controller.active
+        if active is not None:
+            self._published_index, self._active_goal = active.index, stamp
             self._goal.publish(
-                pose_to_ros(goals.goal.pose, stamp, self._robot.shell_radius, self._frame)
+                pose_to_ros(active.goal.pose, stamp, self._robot.shell_radius, self._frame)
             )
         self._last_status = (float("-inf"), self._last_status[1])
         if is_new:
             self._is_outdated, self._warnings = True, ()
         self._publish_arrival()
 
-    def _publish_progress(self, time: float, epoch: int) -> bool:
-        """Publish the next goal of a list if the one before has been reached; return whether."""
-        goals = self._controller.goal_sequence
-        if goals is None or goals.index == self._published_index:
-            return False
-        self._event_log.report("goal", f"{goals.index} of {len(goals.goals)} reached")
-        self.goal(stamp_of(time, epoch))
-        self.present()
-        return True
+    def _publish_progress(self, time: float, epoch: int) -> None:
+        """Publish the next goal of a list if the one before has been reached."""
+        active = self._controller.active
+        if active is None or active.index == self._published_index:
+            return
+        count = len(active.course.legs)
+        self._event_log.report("goal", f"{active.index} of {count} reached")
+        self.goal(stamp_of(time, epoch), is_new=False)
 
     @property
     def _mode(self) -> Kind:
@@ -132,7 +131,7 @@ class ControllerReports:
             return Kind.NO_POSE
         mode = decision.mode
         if decision.solved or mode is Kind.NO_GOAL:
-            if controller.goal_sequence is None:
+            if controller.active is None:
                 return Kind.NO_GOAL
             is_past = mode is Kind.NO_PROGRESS and self._is_outdated
             if is_past or (mode is Kind.AT_GOAL and not controller.at_goal):
@@ -175,7 +174,7 @@ class ControllerReports:
             level, message = max(level, told[0].kind.severity), str(told[0])
         self._status_at = perf_counter()
         values = {
-            **values, **goals_in_force(self._controller.goal_sequence, self._active_goal),
+            **values, **goals_in_force(self._controller.active, self._active_goal),
             "floor_pending_s": self._floor_pending(),
             "pose_topic": self._monitor.topic,
         }
@@ -216,12 +215,11 @@ class ControllerReports:
         plan, solved, mode = decision.plan, decision.solved, decision.conditions[0].kind
         if solved:
             if decision.is_new:
-                self._solve_times.append(plan.solve_time)
+                self._solve_times.append(plan.made.solve_time)
         elif mode is Kind.FALLBACK:
             self._fault_log.report(Kind.FALLBACK.log, plan.message)
         self._status_values.update(decision, time)
-        if self._publish_progress(time, epoch):
-            return  # the decision is about the goal before
+        self._publish_progress(time, epoch)
         self._publish_arrival()
         last, before = self._last_status
         if mode is before and 0.0 <= time - last < _STATUS_EVERY:

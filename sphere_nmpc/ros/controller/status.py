@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor, StabilityReport
@@ -19,7 +20,6 @@ from sphere_nmpc.model.disturbance import (
     rest_speeds,
     time_to_saturation,
 )
-from sphere_nmpc.model.goal import GoalSequence
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.quantity import stamp_text
@@ -70,7 +70,7 @@ class ControllerStatus:
         self._stability = self._monitor.update(
             Sample(
                 time, settings.units.scaled(state[POSE]), settings.units.scaled(goal),
-                decision.plan.cost,
+                decision.plan.made.cost,
                 decision.plan.hold.at(time + settings.period),
                 settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
             )
@@ -106,9 +106,9 @@ class ControllerStatus:
             "pose_age_s": decision.pose_age,
             "solve_time_s": decision.solve_time,
             "tick_time_s": duration,
-            "iterations": plan.iterations,
-            "cost": plan.cost,
-            "kkt_residual": plan.kkt_residual,
+            "iterations": plan.made.iterations,
+            "cost": plan.made.cost,
+            "kkt_residual": plan.made.kkt_residual,
             "failures": controller.failures,
             "missed_ticks": missed,
             "late_poses": controller.late_poses,
@@ -141,7 +141,7 @@ class ControllerStatus:
         elif decision is not None and decision.mode is Kind.TRACKING:
             left = float(np.maximum(0.0, decision.plan.arrival - time))  # nan if it is not known
         if decision is not None and decision.solved:
-            way = decision.plan.distance_left(time)
+            way = decision.plan.way_left(time)
         total_left, total_way = controller.remaining(left, way)
         return {
             "goal_speed": controller.goal_speed(time),
@@ -172,19 +172,19 @@ class ControllerStatus:
         }
 
 
-def goals_in_force(goals: GoalSequence | None, active_goal: int) -> dict[str, Any]:
+def goals_in_force(active: ActiveCourse | None, active_goal: int) -> dict[str, Any]:
     """Return the status values that name the goals, and what the one aimed at demands.
 
     `active_goal` is the stamp [ns] of the message that was published for that one.
     """
-    if goals is None:
+    if active is None:
         return {
             "goal_stamp": "", "goal_index": 0, "goal_count": 0, "goal_orientation": "",
             "active_goal_stamp": "",
         }
     return {
-        "goal_stamp": stamp_text(goals.stamp), "goal_index": goals.index,
-        "goal_count": len(goals.goals), "goal_orientation": goals.goal.orientation.value,
+        "goal_stamp": stamp_text(active.stamp), "goal_index": active.index,
+        "goal_count": len(active.course.legs), "goal_orientation": active.goal.orientation.value,
         "active_goal_stamp": stamp_text(active_goal),
     }
 

@@ -211,16 +211,18 @@ static double predicted_decrease(const problem *p, const workspace *w)
     return -(linear + 0.5 * square);
 }
 
-static void prepare(problem *p, workspace *w)
+/* Begin a solve; `foreseen`: whether the momentum at the end is known before the motion is. */
+static void prepare(problem *p, workspace *w, int foreseen)
 {
     divide(w, p->workspace, p->intervals);
-    p->disturbed = is_disturbed(p->state, p->torques);
     p->stretch = 1.0;
     p->iterations = 0;
     p->kkt_residual = INFINITY;
     w->duration = 0.0;
     for (int64_t m = 0; m < p->intervals; m++)
         w->duration += p->durations[m];
+    if (foreseen && p->end != END_FREE)
+        fix_end(p, w->duration);
     for (int64_t i = 0; i < 2 * p->intervals; i++) {
         w->lower[i] = p->lower[i] / p->input_scale;
         w->upper[i] = p->upper[i] / p->input_scale;

@@ -16,6 +16,7 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.problem import (
+    End,
     LeastSquaresProblem,
     MinimumTimeProblem,
     Solution,
@@ -91,7 +92,7 @@ SIZE = sum(member.words for member in MEMBERS)
 
 
 def problem_declaration() -> str:
-    """Return the C declaration of the structure and of the numbers of the statuses."""
+    """Return the C declaration of the structure and of the numbers of statuses and ends."""
     return f"{_declarations()}#define LAYOUT {check_sum()}\n"
 
 
@@ -112,4 +113,5 @@ def _declarations() -> str:
     lines.append("} problem;")
     lines.append(f'_Static_assert(sizeof(problem) == {8 * SIZE}, "words of eight bytes");')
     lines.append(f"enum {{ {', '.join(status.name for status in STATUSES)} }};")
+    lines.append(f"enum {{ {', '.join(f'END_{end.name} = {end:d}' for end in End)} }};")
     return "\n".join(lines) + "\n"

@@ -159,7 +159,7 @@ class Slot:
             place[...] = value
         self._run(self._address)
         inputs, states, *scalars = self._found
-        cost, status, *others = (place.item() for place in scalars)
+        cost, status, *others = [place.item() for place in scalars]
         return Solution(inputs.copy(), states.copy(), cost, STATUSES[status], *others)
 
 

@@ -11,17 +11,6 @@
 #define CORRECTED 0.5 /* ... and below which a second-order correction is tried */
 #define LARGEST_PROXIMAL 1e6
 
-/* Axes x and y of the body at an orientation, in the world. */
-static void body_axes(const double *q, double (*axes)[3])
-{
-    axes[0][0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]);
-    axes[0][1] = 2.0 * (q[1] * q[2] + q[0] * q[3]);
-    axes[0][2] = 2.0 * (q[1] * q[3] - q[0] * q[2]);
-    axes[1][0] = 2.0 * (q[1] * q[2] - q[0] * q[3]);
-    axes[1][1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3]);
-    axes[1][2] = 2.0 * (q[2] * q[3] + q[0] * q[1]);
-}
-
 /* Residual of the momentum at the end, h_N, or of the tilt; 0 without either. */
 static double last_residual(const problem *p, const double *states)
 {
@@ -31,8 +20,8 @@ static double last_residual(const problem *p, const double *states)
     return has_tilt(p) ? tilt(p, states + STATE * p->steady_interval + 2) : 0.0;
 }
 
-/* Terminal error, ROW residuals: position, vector part of q conj(q_d), speeds of rest, and the
- * momentum at the end or the tilt. */
+/* Terminal error, ROW residuals: position, vector part of q conj(q_d), speeds of the end, and the
+ * momentum there or the tilt. */
 static void terminal_error(const problem *p, const double *inputs, const double *states, double *e)
 {
     const double *x = states + STATE * p->intervals, *q = x + 2, *g = p->goal + 2;
@@ -44,12 +33,12 @@ static void terminal_error(const problem *p, const double *inputs, const double 
     for (int c = 0; c < 3; c++)
         e[2 + c] *= p->turn_weights[c];
     e[5] = e[6] = 0.0;
-    if (p->disturbed) {
+    if (p->end != END_FREE) {
         double body[2][3];
         body_axes(g, body);
         for (int c = 0; c < 2; c++)
-            e[5 + c] = (inputs[2 * p->intervals + c] - body[c][0] * x[6] - body[c][1] * x[7]
-                        - body[c][2] * x[8])
+            e[5 + c] = (inputs[2 * p->intervals + c] - end_speed(p, c) - body[c][0] * x[6]
+                        - body[c][1] * x[7] - body[c][2] * x[8])
                        / p->input_scale;
     }
     e[7] = last_residual(p, states);
@@ -69,13 +58,13 @@ static void expand_error(const problem *p, workspace *w, double *b)
             ends[k][2 + c] = p->turn_weights[c] * sign[c][k];
     for (int k = 0; k < 3; k++) {
         for (int c = 0; c < 2; c++)
-            ends[4 + k][5 + c] = -body[c][k] / p->input_scale;
+            ends[4 + k][5 + c] = p->end == END_FREE ? 0.0 : -body[c][k] / p->input_scale;
         ends[4 + k][7] = p->momentum_row[k];
     }
     terminal_rows(p, w, (const double(*)[ROW])ends, b);
     for (int c = 0; c < 2; c++)
         b[c] -= p->position_scale * p->goal_velocity[c] * knot_time(p, p->intervals);
-    if (p->disturbed)
+    if (p->end != END_FREE)
         for (int c = 0; c < 2; c++)
             w->rows[(size - 2 + c) * ROW + 5 + c] += 1.0;
     for (int64_t i = 0; i < size; i++)
@@ -180,7 +169,7 @@ static void minimum_time(problem *p, double began)
     program q;
     const int64_t size = 2 * p->intervals;
     double error[ROW], in_succession = 0.0;
-    prepare(p, &w);
+    prepare(p, &w, !p->disturbed);
     divide_program(&q, w.program, size);
     q.rows = w.rows;
     q.free = w.free;

@@ -41,6 +41,7 @@ static int is_late(const problem *p, double began)
 #include "workspace.h"
 #include "models.h"
 #include "objective.h"
+#include "end.h"
 #include "bounded_step.h"
 #include "minimum_time.h"
 #include "half_motions.h"
@@ -84,7 +85,7 @@ static void least_squares(problem *p, double began)
     const int64_t size = 2 * p->intervals;
     double damping = p->initial_damping, growth = 2.0;
     int small = 0;
-    prepare(p, &w);
+    prepare(p, &w, 1);
     p->cost = evaluate(p, w.v, p->inputs, p->states, w.interval);
     if (isfinite(p->cost))
         expand(p, &w);
@@ -118,6 +119,7 @@ static void least_squares(problem *p, double began)
 static void solve(problem *p, void (*iterate)(problem *, double))
 {
     const double began = now();
+    p->disturbed = is_disturbed(p->state, p->torques);
     iterate(p, began);
     /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
     for (int64_t i = 0; i < 2 * p->intervals; i++)

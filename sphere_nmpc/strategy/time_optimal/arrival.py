@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Solver of plans, from time 0 on, that lead to the goal and end at rest there.
+"""Solver of plans that lead to the goal and end at rest there.
 
 A trial ends as near to the goal as possible in a given time, by least squares on a coarse grid of
 knots, from a guess far away. A plan is a local solution of the minimum-time problem on the
@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.course import Leg
 from sphere_nmpc.model.disturbance import UNDISTURBED, after_slope, is_zero, rest_speeds
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
@@ -30,6 +31,7 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.solver.problem import (
+    End,
     LeastSquaresProblem,
     MinimumTimeProblem,
     Problem,
@@ -40,8 +42,7 @@ from sphere_nmpc.solver.problem import (
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import speeds_of_rest
+from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
@@ -99,29 +100,26 @@ class ArrivalSolver:
         situation : Situation
             State of the robot and speeds of its rotors at the start.
         goal : Goal
-            Where the goal is at time 0, the start, with the quaternion sign that is aimed at.
+            The goal, with the quaternion sign that is aimed at.
         guess : FirstOrderHold
-            Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
-            momentum along its motion is added, so that the same motion results but for a turn
-            about the body's z axis.
+            Rotor speeds from the start on, for a sphere without momentum, at knots that are kept.
+            What holds the momentum along its motion is added, so that the same motion results but
+            for a turn about the body's z axis.
         aware : bool, optional
             Whether the guess has that already.
         """
-        durations, knots = np.diff(guess.times), guess.speeds[1:]
+        durations, knots = guess.durations, guess.speeds[1:]
         if not aware and not is_zero(situation.momentum, situation.disturbance):
             knots = knots + self._compensation(situation, durations, knots)
-        momentum = after_slope(situation.momentum, situation.disturbance, guess.end)
-        rest = speeds_of_rest(momentum, goal.pose[QUATERNION], self._max_speed)
         orientation = _demanded(situation, goal)
         problem = self._problem(
             LeastSquaresProblem, situation, goal.at(guess.end), orientation, durations,
-            self.grid.spacing, input_weight=_REGULARISATION,
+            self.grid.spacing, end=End.REST, input_weight=_REGULARISATION,
         )
-        problem.lower[-1] = problem.upper[-1] = rest
         solution = solve(problem, knots, self._trial)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
         error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
-        return _plan(goal, orientation, problem, solution, error, work)
+        return _plan(goal, orientation, guess.start, problem, solution, error, work)
 
     def solve(
         self, situation: Situation, goal: Goal, guess: FirstOrderHold, factor: float = 1.0,
@@ -149,7 +147,7 @@ class ArrivalSolver:
             Another cap on iterations than that of the settings.
         """
         tuning = self.settings
-        durations = np.diff(guess.times)
+        durations = guess.durations
         steady, turns, rolling = 0, 0, SteadyRolling.of(situation.constants, self._max_speed)
         orientation = _demanded(situation, goal)
         if situation.has_small_momentum:
@@ -161,15 +159,13 @@ class ArrivalSolver:
             )
         max_step = (2.0 if coarse else 1.0) * self.grid.fine
         # A goal that moves: its place at the arrival, its orientation at the end of the guess.
-        there = np.concatenate((goal.pose[POSITION], goal.at(guess.end)[QUATERNION]))
+        there = np.concatenate((goal.at(guess.start)[POSITION], goal.at(guess.end)[QUATERNION]))
         problem = self._problem(
             MinimumTimeProblem, situation, there, orientation, durations, max_step,
             goal_velocity=goal.rate[POSITION],
             error_weight=factor * tuning.error_weight * self.grid.unit,
         )
-        if is_zero(situation.momentum, situation.disturbance):
-            problem.lower[-1] = problem.upper[-1] = 0.0
-        elif situation.is_out_of_balance and not situation.uncertainty > 0.0:
+        if situation.is_out_of_balance and not situation.uncertainty > 0.0:
             # Where poses are noisy the estimate of this component changes from sample to sample
             # by more than a plan can follow, and it is left to the tilt at rest.
             body_z = rotation.matrix(there[QUATERNION])[:, 2]
@@ -183,14 +179,14 @@ class ArrivalSolver:
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
         solution = solve(problem, guess.speeds[1:], settings, budget)
-        duration = solution.stretch * guess.end
+        duration = solution.stretch * (guess.end - guess.start)
         error = math.inf
         if _is_finite(solution):
             error = max(0.0, solution.cost - duration) / problem.error_weight
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
         work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
-        return _plan(goal, orientation, problem, solution, error, work, turns)
+        return _plan(goal, orientation, guess.start, problem, solution, error, work, turns)
 
     def solves(
         self, situation: Situation, known: Plan, deadline: float = math.inf,
@@ -203,7 +199,7 @@ class ArrivalSolver:
         """
         for factor in RAISES:
             known = self.solve(
-                situation, known.goal, known.hold, factor, deadline - time.perf_counter(),
+                situation, known.leg.goal, known.hold, factor, deadline - time.perf_counter(),
                 iterations=iterations,
             )
             yield known
@@ -212,7 +208,7 @@ class ArrivalSolver:
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
         """Return the speeds that hold the momentum along knots u_1 ... u_N [rad/s], (N, 2)."""
-        inputs = np.vstack((situation.input_in_force, knots))
+        inputs = np.vstack((situation.speeds, knots))
         states = roll_out(
             without_momentum(situation.state), inputs, durations,
             situation.constants.as_array(), self.grid.spacing,
@@ -248,7 +244,7 @@ class ArrivalSolver:
         """Return a problem with the bounds of the drives, and with other fields."""
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
         return kind(
-            state=situation.state, goal=goal, input_in_force=situation.input_in_force,
+            state=situation.state, goal=goal, input_in_force=situation.speeds,
             durations=durations, constants=situation.constants.as_array(), lower=-upper,
             upper=upper, input_scale=self._max_speed, max_acceleration=self._acceleration,
             max_step=max_step, torques=situation.disturbance.as_array(),
@@ -259,13 +255,15 @@ class ArrivalSolver:
 def rolled_out(plan: Plan, situation: Situation, hold: FirstOrderHold) -> Plan:
     """Return what follows from a hold, what remains of a plan as it is, in a situation."""
     states = roll_out(
-        situation.state, hold.speeds, np.diff(hold.times), situation.constants.as_array(),
+        situation.state, hold.speeds, hold.durations, situation.constants.as_array(),
         disturbance=situation.disturbance,
     )
-    pose = plan.goal.orientation.nearest(plan.goal.pose, states[-1])
-    error = state_error(states[-1], nearer_sign(pose, states[-1]))
-    goal = replace(plan.goal, pose=pose)
-    return replace(plan, hold=hold, states=states, goal=goal, error=error, turns=0)
+    goal = replace(plan.leg.goal, pose=plan.leg.goal.nearest(states[-1], hold.end), since=hold.end)
+    error = state_error(states[-1], nearer_sign(goal.pose, states[-1]))
+    return replace(
+        plan, hold=hold, states=states, leg=replace(plan.leg, goal=goal), error=error,
+        made=replace(plan.made, cost=error**2, turns=0),
+    )
 
 
 def _demanded(situation: Situation, goal: Goal) -> Orientation:
@@ -278,13 +276,15 @@ def _is_finite(solution: Solution) -> bool:
 
 
 def _plan(
-    goal: Goal, demanded: Orientation, problem: Problem, solution: Solution, error: float,
-    work: int, turns: int = 0,
+    goal: Goal, demanded: Orientation, start: float, problem: Problem, solution: Solution,
+    error: float, work: int, turns: int = 0,
 ) -> Plan:
     times = np.concatenate(([0.0], np.cumsum(solution.stretch * problem.durations)))
-    pose = demanded.nearest(goal.pose, solution.states[-1])
+    hold = FirstOrderHold(start + times, solution.inputs)
+    pose = demanded.nearest(goal.at(hold.end), solution.states[-1])
     return Plan(
-        PlanStatus.SOLVED, FirstOrderHold(times, solution.inputs), solution.states,
-        goal if pose is goal.pose else replace(goal, pose=pose), error, turns=turns, work=work,
-        iterations=solution.iterations, kkt_residual=solution.kkt_residual,
+        PlanStatus.SOLVED, hold, solution.states, Leg(replace(goal, pose=pose, since=hold.end)),
+        error, made=Made(
+            error**2, solution.iterations, solution.kkt_residual, work, turns=turns
+        ),
     )

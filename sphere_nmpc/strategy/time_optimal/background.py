@@ -17,24 +17,17 @@ import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
-from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.guide import (
-    detour_to_goal,
-    leads_on,
-    line_on,
-    lines_to_goal,
-    local_goal,
-    time_to_go,
-    with_lines,
-)
+from sphere_nmpc.strategy.time_optimal.guide import Guide, with_lines
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -80,14 +73,16 @@ class SearchTask:
     from_rest : bool
         Whether the sphere rests until the plan begins, which may then be at any time.
     known : FirstOrderHold or None
-        Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
-        arrival is searched for. None for a new plan.
+        Rest of the plan that is being followed to the same goal: an earlier arrival is searched
+        for. None for a new plan.
     failed : int
         Searches before it that have found nothing; a goal on the way around obstacles is then
         nearer.
     rested : ndarray of shape (2,), or None
         Where the sphere has last rested [m], from which a part of the way has to lead on; None
         where it is now.
+    is_next : bool
+        Whether it is for the leg after the one that is followed, from the end of that.
     """
 
     robot: RobotParameters
@@ -100,6 +95,7 @@ class SearchTask:
     known: FirstOrderHold | None = None
     failed: int = 0
     rested: Vector | None = None
+    is_next: bool = False
 
     @property
     def solver(self) -> ArrivalSolver:
@@ -107,66 +103,60 @@ class SearchTask:
         return solver_for(self.robot, self.tuning)
 
     def __call__(self, store: Store | None = None) -> Plan | str:
-        """Return the plan with the earliest arrival that is found, other than the one known.
+        """Return the plan, from time 0 on, with the earliest arrival that is found.
 
-        Without one it is why there is none wherever one searches; empty where that is not so.
+        It is another one than that which is known. Without one it is why there is none wherever
+        one searches; empty where that is not so.
         """
-        end = time.perf_counter() + self.longest
-        found = self._new(end) if self.known is None else self._earlier(self.known, end)
-        return replace(found, motion=self.seed) if isinstance(found, Plan) else found or ""
+        end, situation = time.perf_counter() + self.longest, self.situation.from_zero()
+        guide = Guide(situation, self.solver, self.rested)
+        if self.known is None:
+            found = self._new(situation, guide, end)
+        else:
+            found = self._earlier(situation, guide, self.known.delayed(-self.situation.time), end)
+        if not isinstance(found, Plan):
+            return found or ""
+        return replace(found, made=replace(found.made, motion=self.seed))
 
-    def _new(self, end: float) -> Plan | str | None:
-        guidance = local_goal(self.situation, self.solver, self.failed)
+    def _new(self, situation: Situation, guide: Guide, end: float) -> Plan | str | None:
+        guidance = guide.guidance(self.failed)
         if guidance.reason:
             return guidance.reason
         for aim in guidance.aims:
             search = ArrivalSearch(self.solver, aim.situation, self.seed, detour=aim.detour)
             found = search.improve(int(aim.share * self.effort), end)
-            if found is not None and aim.is_final:
+            if found is not None and not aim.is_local:
                 return found
-            if found is not None and leads_on(self.situation, self._rested, _end_of(found)):
-                return self._part(found)
-        if not guidance.by_lines or not self.situation.has_small_momentum:
+            if found is not None and guide.leads_on(found):
+                return guide.on_the_way(found)
+        if not guidance.by_lines or not situation.has_small_momentum:
             return None  # lines are those of a sphere without momentum
-        found = self._by_lines(end) if guidance.sees_goal else None
+        found = self._by_lines(situation, guide, end) if guidance.sees_goal else None
         if found is None and self.from_rest:
-            line = line_on(self.situation, self.solver, self._rested)
-            return None if line is None else self._part(line)
+            line = guide.line_on()
+            return None if line is None else guide.on_the_way(line)
         return found
 
-    @property
-    def _rested(self) -> Vector:
-        return self.situation.state[POSITION] if self.rested is None else self.rested
-
-    def _part(self, plan: Plan) -> Plan:
-        """Return a plan to a place on the way, with what is left from there."""
-        left = time_to_go(self.situation, _end_of(plan), self.robot.max_rotor_speed)
-        return replace(plan, remaining_time=left, final=self.situation.goal)
-
-    def _earlier(self, known: FirstOrderHold, end: float) -> Plan | None:
+    def _earlier(
+        self, situation: Situation, guide: Guide, known: FirstOrderHold, end: float
+    ) -> Plan | None:
         """Return a plan with an earlier arrival than the one that is known; None without one."""
-        situation, solver = self.situation, self.solver
-        goal = situation.aim(situation.goal)
+        solver, goal = self.solver, situation.goal
         start = solver.solve(situation, goal, known, budget=self.longest, kept=True)
         if start.error > self.tuning.arrival_error:
             return None
-        search = ArrivalSearch(solver, situation, self.seed, start, detour_to_goal(situation))
+        search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
         found = search.improve_once(end)
         return None if found is start else found
 
-    def _by_lines(self, end: float) -> Plan | None:
+    def _by_lines(self, situation: Situation, guide: Guide, end: float) -> Plan | None:
         """Return a plan to the goal that ends with straight lines to it."""
-        lines = lines_to_goal(self.situation, self.solver)
+        lines = guide.lines_to_goal()
         if lines is None:
             return None
-        aim = replace(self.situation, goal=lines[0], orientation=Orientation.FULL)
-        found = ArrivalSearch(self.solver, aim, self.seed).improve(self.effort, end)
-        return None if found is None else with_lines(self.situation, found, lines[1])
-
-
-def _end_of(plan: Plan) -> Vector:
-    """Return the place where a plan ends, shape (2,) [m]."""
-    return plan.states[-1, POSITION]
+        aimed = situation.aimed_at(Goal(lines[0]))
+        found = ArrivalSearch(self.solver, aimed, self.seed).improve(self.effort, end)
+        return None if found is None else with_lines(situation, found, lines[1])
 
 
 class BackgroundSearch:
@@ -210,6 +200,8 @@ class BackgroundSearch:
         """Control time at which a search that is not urgent has begun [s]."""
         self.failed = 0
         """Searches in succession that have found nothing, in the present state."""
+        self.failed_ahead = 0
+        """The same of searches for the next leg."""
         self._has_failed = False
         self.no_way = ""
         """Why there is no way to the goal, as the last search has found; empty otherwise."""
@@ -218,7 +210,7 @@ class BackgroundSearch:
     def solver_from(self, situation: Situation) -> ArrivalSolver:
         """Return the solver for a new plan; where the sphere has slipped it accelerates less."""
         slip = self._tuning.slip_acceleration
-        return self._solver_with(slip) if situation.slippery else self.solver
+        return self._solver_with(slip) if situation.plant.slippery else self.solver
 
     def _solver_with(self, share: float) -> ArrivalSolver:
         """Return a solver with this share of the limit of the rotors' acceleration.
@@ -245,6 +237,10 @@ class BackgroundSearch:
         """Forget the search under way and those that have failed."""
         self._task, self.failed = None, 0
 
+    def begin_leg(self) -> None:
+        """Count failed searches from the beginning of a leg on."""
+        self.failed = self.failed_ahead = 0
+
     def count_anew(self) -> None:
         """Count failed searches from the present sampling instant on, this one included."""
         self.failed = int(self._has_failed)
@@ -267,7 +263,8 @@ class BackgroundSearch:
     @property
     def is_awaited(self) -> bool:
         """Whether a search is under way for another plan than one that arrives earlier."""
-        return self._task is not None and self._task.known is None
+        task = self._task
+        return task is not None and task.known is None and not task.is_next
 
     def begins(self, now: float) -> float:
         """Return the control time at which the plan of a search that begins now starts [s]."""
@@ -296,6 +293,7 @@ class BackgroundSearch:
     def begin(
         self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector | None,
         from_rest: bool = False, known: FirstOrderHold | None = None, is_new: bool = True,
+        is_next: bool = False,
     ) -> None:
         """Begin a search; see `SearchTask`.
 
@@ -304,14 +302,15 @@ class BackgroundSearch:
         """
         worker, tuning = self._by, self._tuning
         # In motion the next search has another problem, which may be easier.
-        growth = tuning.growth(self.failed) if from_rest else 1.0
+        failed = self.failed_ahead if is_next else self.failed
+        growth = tuning.growth(failed) if from_rest else 1.0
         longest = growth * tuning.longest_search
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         task = SearchTask(
             solver.robot, tuning, start, next(self._seeds),
             round(growth * self._settings.planning_effort), longest, from_rest, known,
-            self.failed if is_new else 0, rested,
+            failed if is_new else 0, rested, is_next,
         )
         self._reply = worker.submit(task)
         self._task = None if self._reply.error else task
@@ -327,11 +326,11 @@ class BackgroundSearch:
         begins = task.from_rest or now >= task.situation.time - SHORTEST
         return self._reply.ready and begins
 
-    def take(self, now: float) -> tuple[SearchTask, Plan] | None:
-        """Return a search that is complete and whose plan begins at `now` [s], with the plan.
+    def take(self, now: float) -> tuple[InForce, bool] | None:
+        """Return the plan of a search that is complete, and whether it is for the next leg.
 
-        None if there is none, or it has found nothing. A plan that should have begun before the
-        last sampling instant is none.
+        It begins at `now` [s], one for the next leg at any time. None if there is none, or it has
+        found nothing. A plan that should have begun before the last sampling instant is none.
         """
         self._has_failed = False
         if not self.is_due(now) or self._task is None:
@@ -344,8 +343,15 @@ class BackgroundSearch:
             return None
         found = self._reply.result
         if isinstance(found, Plan):
-            self.no_way, self._no_way_on = "", None
-            return task, found
+            if task.is_next:
+                self.failed_ahead = 0
+            else:
+                self.no_way, self._no_way_on = "", None
+            plan = found.delayed(now if task.from_rest else task.situation.time)
+            return InForce(plan, task.situation, task.robot, task.rested), task.is_next
+        if task.is_next:
+            self.failed_ahead += 1
+            return None
         self.no_way, self._no_way_on = found or "", task.situation.floor
         self._has_failed = not found
         self.failed += self._has_failed
@@ -367,5 +373,5 @@ def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: flo
         situation.state, speeds, np.diff(times), situation.constants.as_array(), max_step,
         situation.disturbance,
     )[-1]
-    goal = situation.goal_after(time - now)
-    return replace(situation, time=time, state=state, input_in_force=speeds[-1], goal=goal)
+    in_force = hold.starting_at(time, speeds[-1])
+    return replace(situation, time=time, state=state, in_force=in_force)

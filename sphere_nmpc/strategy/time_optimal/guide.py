@@ -13,13 +13,15 @@ lead from there, if it begins with the orientation that they lead to.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from sphere_nmpc.floor.route import Route, StraightRoute, in_sight, route_to
+from sphere_nmpc.model.course import Leg, LegEnd
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import STANDING, Goal, Orientation
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_momentum
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
@@ -59,9 +61,7 @@ class Aim(NamedTuple):
     Attributes
     ----------
     situation : Situation
-        With the goal that is aimed at.
-    is_final : bool
-        Whether that is the final goal.
+        With the goal that is aimed at: a local one is the end of a leg put in front.
     detour : float
         Length by which the way there is longer than the straight line [m].
     share : float
@@ -69,9 +69,13 @@ class Aim(NamedTuple):
     """
 
     situation: Situation
-    is_final: bool
     detour: float = 0.0
     share: float = 1.0
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the goal is a local one."""
+        return self.situation.course.legs[self.situation.leg].end is LegEnd.THROUGH
 
 
 class Guidance(NamedTuple):
@@ -96,66 +100,163 @@ class Guidance(NamedTuple):
     reason: str = ""
 
 
-def route_of(situation: Situation) -> Route | StraightRoute:
-    """Return the routes to the goal of a situation."""
-    return route_to(situation.floor, situation.goal[POSITION], situation.least_distance)
-
-
-def local_goal(situation: Situation, solver: ArrivalSolver, failed: int) -> Guidance:
-    """Return what to aim at in a situation: the goal if it is in sight, else a place on the route.
+class Guide:
+    """Guide of a search in one situation.
 
     Parameters
     ----------
     situation : Situation
-        State at the start, and the final goal.
+        State at the start, and the goal.
     solver : ArrivalSolver
         Solver with the limits of the drives.
-    failed : int
-        Searches before that have found nothing: after each the local goal is nearer.
+    rested : ndarray of shape (2,), or None
+        Where the sphere has last rested [m]; None where it is now.
     """
-    place, goal, floor = situation.state[POSITION], situation.goal[POSITION], situation.floor
-    steady, near = situation.has_small_momentum, solver.near_distance
-    leg, distance = _LONGEST_LEG if steady else near, float(np.linalg.norm(goal - place))
-    # Before the routes are computed, which takes as long as a search on a large floor.
-    sees_goal = failed % 2 == 0 and floor.least_distance(place) > 0.0 and bool(
-        in_sight(floor, place, goal[None, :], needed_distance(situation, Margin.FOUND))[0]
-    )
-    if sees_goal and distance <= (leg if failed and not steady else _LAST_LEG * leg):
-        narrow = floor.least_distance(goal) - situation.least_distance < _NARROW * situation.radius
-        aims = [] if narrow else [Aim(situation, is_final=True)]
-        return Guidance(aims, sees_goal, by_lines=narrow or failed > 0)
-    if sees_goal:
-        aims = [_aim_at(situation, place + (leg / distance) * (goal - place))]
-        return Guidance(aims, by_lines=failed > 0)
-    route = route_of(situation)
-    path = route.path(place)
-    if len(path) == 0:
-        return Guidance([], reason=(
-            f"the goal: no way with {situation.least_distance:.3g} m (radius and clearance) on "
-            "either side leads there from the place of the sphere"
-        ))
-    chosen = _place_on(path, situation, failed)
-    detour = 0.0
-    if not failed:
-        length = route.length(place) - route.length(chosen)
-        detour = max(1e-3, length - float(np.linalg.norm(chosen - place)))
-    aims = [_aim_at(situation, chosen, detour)]
-    if route.length(place) <= near:
-        aims.insert(0, Aim(situation, True, detour_to_goal(situation), share=0.5))
-    return Guidance(aims)
+
+    def __init__(
+        self, situation: Situation, solver: ArrivalSolver, rested: Vector | None = None
+    ) -> None:
+        self._situation, self._solver = situation, solver
+        self._place, self._goal = situation.state[POSITION], situation.goal.pose[POSITION]
+        self._rested = self._place if rested is None else rested
+
+    @cached_property
+    def route(self) -> Route | StraightRoute:
+        """Routes to the goal: to compute them takes as long as a search on a large floor."""
+        situation = self._situation
+        return route_to(situation.floor, self._goal, situation.least_distance)
+
+    def guidance(self, failed: int) -> Guidance:
+        """Return what to aim at: the goal if it is in sight, else a place on the route.
+
+        `failed` searches before have found nothing: after each the local goal is nearer.
+        """
+        situation, place, goal = self._situation, self._place, self._goal
+        floor, steady, near = situation.floor, situation.has_small_momentum, self._near
+        leg, distance = _LONGEST_LEG if steady else near, float(np.linalg.norm(goal - place))
+        sees_goal = failed % 2 == 0 and floor.least_distance(place) > 0.0 and bool(
+            in_sight(floor, place, goal[None, :], needed_distance(situation, Margin.FOUND))[0]
+        )
+        if sees_goal and distance <= (leg if failed and not steady else _LAST_LEG * leg):
+            room = floor.least_distance(goal) - situation.least_distance
+            narrow = room < _NARROW * situation.radius
+            aims = [] if narrow else [Aim(situation)]
+            return Guidance(aims, sees_goal, by_lines=narrow or failed > 0)
+        if sees_goal:
+            aims = [self._aim_at(place + (leg / distance) * (goal - place))]
+            return Guidance(aims, by_lines=failed > 0)
+        path = self.route.path(place)
+        if len(path) == 0:
+            return Guidance([], reason=(
+                f"the goal: no way with {situation.least_distance:.3g} m (radius and clearance) "
+                "on either side leads there from the place of the sphere"
+            ))
+        chosen = _place_on(path, situation, failed)
+        detour = 0.0
+        if not failed:
+            length = self.route.length(place) - self.route.length(chosen)
+            detour = max(1e-3, length - float(np.linalg.norm(chosen - place)))
+        aims = [self._aim_at(chosen, detour)]
+        if self.route.length(place) <= near:
+            aims.insert(0, Aim(situation, self.detour(), share=0.5))
+        return Guidance(aims)
+
+    @property
+    def _near(self) -> float:
+        return self._solver.near_distance
+
+    def _aim_at(self, place: Vector, detour: float = 0.0) -> Aim:
+        situation = self._situation
+        pose = np.concatenate((place, situation.goal.pose[QUATERNION]))
+        leg = Leg(Goal(pose, Orientation.ANY, since=situation.time), LegEnd.THROUGH)
+        course = situation.course.by_way_of(situation.leg, leg)
+        return Aim(replace(situation, course=course), detour)
+
+    def detour(self) -> float:
+        """Return by how much the way to the goal is longer than the line [m]; 0 in sight."""
+        situation, place, goal = self._situation, self._place, self._goal
+        needed = needed_distance(situation, Margin.KEPT)
+        if in_sight(situation.floor, place, goal[None, :], needed)[0]:
+            return 0.0
+        return max(1e-3, self.route.length(place) - float(np.linalg.norm(goal - place)))
+
+    def leads_on(self, plan: Plan) -> bool:
+        """Return whether a plan leads on from where the sphere has last rested."""
+        least = _LENGTHS[0] * self._situation.radius
+        return self.route.length(_end_of(plan)) <= self.route.length(self._rested) - least
+
+    def on_the_way(self, plan: Plan) -> Plan:
+        """Return a plan to a place on the route, with what is left from there.
+
+        That is the time of rolling from there to the goal, and of its manoeuvre.
+        """
+        limit = self._solver.robot.max_rotor_speed
+        rolling = SteadyRolling.of(self._situation.constants, limit)
+        way = self.route.length(_end_of(plan))
+        time = way / rolling.speed + 0.5 * rolling.turn_time
+        leg = replace(plan.leg, end=LegEnd.THROUGH, time_left=time, way_left=way)
+        return replace(plan, leg=leg)
+
+    def line_on(self) -> Plan | None:
+        """Return the fastest of the straight lines that lead on to the goal, from rest to rest.
+
+        It is there where a search finds nothing, as long as it is clear of what is occupied: the
+        orientation does not matter to it.
+        """
+        situation, solver, route = self._situation, self._solver, self.route
+        targets = along(route.path(self._place), situation.radius * np.array(_LENGTHS))
+        speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
+
+        def cost(line: Plan) -> float:
+            return line.duration + _REST_COSTS * route.length(_end_of(line)) / speed
+
+        on = filter(self.leads_on, _lines(situation, solver, targets))
+        return min(on, key=cost, default=None)
+
+    def lines_to_goal(self) -> tuple[Vector, FirstOrderHold] | None:
+        """Return lines from the open to the goal, and the pose, (6,), where they begin.
+
+        None where none are found. They go back along the route to the goal, or away from what is
+        near.
+        """
+        situation, solver, holds = self._situation, self._solver, []
+        here = replace(situation, state=without_momentum(situation.goal.pose))
+        path = self.route.path(self._place)[::-1]
+
+        def room(place: Vector) -> float:
+            free = situation.floor.least_distance(place) - situation.least_distance
+            return min(free, _OPEN * situation.radius)
+
+        def gain(line: Plan) -> float:
+            return room(_end_of(line)) / (line.duration + solver.grid.unit)
+
+        for _ in range(_LINES):
+            place, lengths = here.state[POSITION], situation.radius * np.array(_LENGTHS)
+            path = path[int(np.argmin(np.linalg.norm(path - place, axis=1))) :]
+            away = _away(here, place)
+            targets = np.vstack((along(path, lengths), place + lengths[:, None] * away))
+            line = max(_lines(here, solver, targets), key=gain, default=None)
+            if line is None:
+                break
+            holds.append(gone_back(line.hold))
+            here = replace(here, state=line.states[-1])
+            if room(here.state[POSITION]) >= _OPEN * situation.radius:
+                break
+        if not holds:
+            return None
+        return here.state[POSE], joined(holds[::-1])
 
 
-def _aim_at(situation: Situation, place: Vector, detour: float = 0.0) -> Aim:
-    goal = np.concatenate((place, situation.goal[QUATERNION]))
-    aimed = replace(situation, goal=goal, orientation=Orientation.ANY, goal_rate=STANDING)
-    return Aim(aimed, is_final=False, detour=detour)
+def _end_of(plan: Plan) -> Vector:
+    """Return the place where a plan ends, shape (2,) [m]."""
+    return plan.states[-1, POSITION]
 
 
 def _place_on(path: Vector, situation: Situation, failed: int) -> Vector:
     """Return the place on the path of a route that is aimed at, shape (2,) [m]."""
     place, radius, near = situation.state[POSITION], situation.radius, 0.5**failed
     reach = max(_LENGTHS[0], _FARTHEST * near) * radius
-    straight = float(np.linalg.norm(situation.goal[POSITION] - place))
+    straight = float(np.linalg.norm(situation.goal.pose[POSITION] - place))
     if failed and straight < reach:
         reach = max(_LENGTHS[0] * radius, near * straight)
     away: Vector = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES, dtype=np.float64)
@@ -176,76 +277,6 @@ def along(path: Vector, away: Vector) -> Vector:
     return np.column_stack([np.interp(away, at, path[:, axis]) for axis in (0, 1)])
 
 
-def detour_to_goal(situation: Situation) -> float:
-    """Return by how much the way to the goal is longer than the straight line [m]; 0 in sight."""
-    place, goal = situation.state[POSITION], situation.goal[POSITION]
-    needed = needed_distance(situation, Margin.KEPT)
-    if in_sight(situation.floor, place, goal[None, :], needed)[0]:
-        return 0.0
-    return max(1e-3, route_of(situation).length(place) - float(np.linalg.norm(goal - place)))
-
-
-def leads_on(situation: Situation, rested: Vector, place: Vector) -> bool:
-    """Return whether a part that ends at a place leads on from where the sphere has last rested.
-
-    Both are of shape (2,) [m].
-    """
-    route = route_of(situation)
-    return route.length(place) <= route.length(rested) - _LENGTHS[0] * situation.radius
-
-
-def line_on(situation: Situation, solver: ArrivalSolver, rested: Vector) -> Plan | None:
-    """Return the fastest of the straight lines that lead on to the goal, from rest to rest.
-
-    It is there where a search finds nothing, as long as it is clear of what is occupied: the
-    orientation does not matter to it. The sphere has last `rested` at a place, shape (2,) [m].
-    """
-    place, route = situation.state[POSITION], route_of(situation)
-    targets = along(route.path(place), situation.radius * np.array(_LENGTHS))
-    speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
-
-    def cost(line: Plan) -> float:
-        return line.duration + _REST_COSTS * route.length(line.states[-1, POSITION]) / speed
-
-    lines = _lines(situation, solver, targets)
-    on = (line for line in lines if leads_on(situation, rested, line.states[-1, POSITION]))
-    return min(on, key=cost, default=None)
-
-
-def lines_to_goal(
-    situation: Situation, solver: ArrivalSolver
-) -> tuple[Vector, FirstOrderHold] | None:
-    """Return lines from the open to the goal, and the pose, shape (6,), where they begin.
-
-    None where none are found. They go back along the route to the goal, or away from what is near.
-    """
-    here, holds = replace(situation, state=without_momentum(situation.goal)), []
-    path = route_of(situation).path(situation.state[POSITION])[::-1]
-
-    def room(place: Vector) -> float:
-        free = situation.floor.least_distance(place) - situation.least_distance
-        return min(free, _OPEN * situation.radius)
-
-    def gain(line: Plan) -> float:
-        return room(line.states[-1, POSITION]) / (line.duration + solver.grid.unit)
-
-    for _ in range(_LINES):
-        place, lengths = here.state[POSITION], situation.radius * np.array(_LENGTHS)
-        path = path[int(np.argmin(np.linalg.norm(path - place, axis=1))) :]
-        away = _away(here, place)
-        targets = np.vstack((along(path, lengths), place + lengths[:, None] * away))
-        line = max(_lines(here, solver, targets), key=gain, default=None)
-        if line is None:
-            break
-        holds.append(gone_back(line.hold))
-        here = replace(here, state=line.states[-1])
-        if room(here.state[POSITION]) >= _OPEN * situation.radius:
-            break
-    if not holds:
-        return None
-    return here.state[POSE], joined(holds[::-1])
-
-
 def _lines(
     situation: Situation, solver: ArrivalSolver, targets: Vector
 ) -> Iterator[Plan]:
@@ -257,10 +288,10 @@ def _lines(
         if hold is None or not is_clear(situation, hold, Margin.STRAIGHT):
             continue
         states = roll_out(
-            situation.state, hold.speeds, np.diff(hold.times), constants.as_array()
+            situation.state, hold.speeds, hold.durations, constants.as_array()
         )
-        goal = Goal(states[-1, POSE].copy(), Orientation.ANY)
-        yield Plan(PlanStatus.SOLVED, hold, states, goal, error=0.0)
+        goal = Goal(states[-1, POSE].copy(), Orientation.ANY, since=hold.end)
+        yield Plan(PlanStatus.SOLVED, hold, states, Leg(goal), error=0.0)
 
 
 def _away(situation: Situation, place: Vector) -> Vector:
@@ -283,18 +314,7 @@ def with_lines(
     situation: Situation, plan: Plan, lines: FirstOrderHold
 ) -> Plan | None:
     """Return the plan to where lines to the goal begin together with them; None if not clear."""
-    goal = replace(plan.goal, pose=situation.goal, orientation=Orientation.FULL)
-    found = rolled_out(replace(plan, goal=goal), situation, joined([plan.hold, lines]))
+    goal = replace(situation.goal, orientation=Orientation.FULL)
+    plan = replace(plan, leg=replace(plan.leg, goal=goal))
+    found = rolled_out(plan, situation, joined([plan.hold, lines]))
     return found if is_clear(situation, found.hold, Margin.KEPT) else None
-
-
-def time_to_go(situation: Situation, place: Vector, max_speed: float) -> float:
-    """Return the time of rolling from a place to the final goal [s], and of its manoeuvre."""
-    rolling = SteadyRolling.of(situation.constants, max_speed)
-    return route_of(situation).length(place) / rolling.speed + 0.5 * rolling.turn_time
-
-
-def way_of_time(time: float, situation: Situation, max_speed: float) -> float:
-    """Return the length of the way [m] of a time to go [s]; see `time_to_go`."""
-    rolling = SteadyRolling.of(situation.constants, max_speed)
-    return rolling.speed * max(0.0, time - 0.5 * rolling.turn_time)

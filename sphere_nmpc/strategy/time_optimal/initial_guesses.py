@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import moved
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, flipped_sign
 from sphere_nmpc.solver.half_motions import (
     Drives,
@@ -91,11 +92,11 @@ def meeting_guesses(
     wanted = round(share * settings.tried_guesses)
     signals = _signals(rng, count, unit * settings.mean_switch)
     constants = situation.constants.as_array()
-    in_force = np.clip(situation.input_in_force, -drives.limit, drives.limit)
+    in_force = np.clip(situation.speeds, -drives.limit, drives.limit)
     forth = half_motions(start, in_force, signals, levels, drives, constants)
     # A goal that moves counts as where it is after a guess of the mean duration.
-    mean = 0.5 * sum(durations)
-    ends = situation.orientation.draw(rng, situation.goal_after(mean), count)
+    mean, goal = 0.5 * sum(durations), situation.goal
+    ends = goal.orientation.draw(rng, goal.at(situation.time + mean), count)
     back = half_motions(ends, _AT_REST, signals, levels, drives, constants)
     forth = without_collisions(situation, forth)
     back = without_collisions(situation, back, left_out)
@@ -115,7 +116,7 @@ def meeting_guesses(
         speeds: Vector = np.vstack((from_start[: before + 1, :, k], from_goal[:after, :, k][::-1]))
         same_sign = forth.states[before, 2:, i] @ back.states[after, 2:, j] > 0.0
         times: Vector = period * np.arange(periods + 1, dtype=np.float64)
-        member = situation.goal_after(-mean, ends[:, j % ends.shape[1]])
+        member = moved(ends[:, j % ends.shape[1]], goal.rate, -mean)
         guesses.append(
             Guess(FirstOrderHold(times, speeds), member if same_sign else flipped_sign(member))
         )

@@ -50,13 +50,13 @@ class Grid:
         return self.spacing / _FINER
 
     def coarse(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold at knots about `spacing` apart."""
+        """Return a hold, from time 0 on, at knots about `spacing` apart."""
         count = max(2, round(hold.end / self.spacing))
         times: Vector = np.linspace(0.0, hold.end, count + 1, dtype=np.float64)
         return hold.resampled(times)
 
     def refined(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold with fine knots near both ends and at most `spacing` between them.
+        """Return a hold, from time 0 on, with fine knots near both ends, else `spacing` apart.
 
         Intervals of steady rolling, which are longer, are kept.
         """
@@ -72,9 +72,9 @@ class Grid:
         return hold.resampled(times)
 
     def split(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold from time 0 on in which only intervals after a manoeuvre are long."""
-        times, until = hold.times, _MANOEUVRE * self.unit + 4.0 * self.spacing
-        long = np.flatnonzero((np.diff(times) > 2.0 * self.spacing) & (times[:-1] < until))
+        """Return a hold in which only intervals after a manoeuvre are long."""
+        times, until = hold.times, hold.start + _MANOEUVRE * self.unit + 4.0 * self.spacing
+        long = np.flatnonzero((hold.durations > 2.0 * self.spacing) & (times[:-1] < until))
         if not long.size:
             return hold
         added = [times]
@@ -85,7 +85,7 @@ class Grid:
 
     def thinned(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold without the knots that are very near to the one before them."""
-        near = np.diff(hold.times) < _LEAST * self.spacing
+        near = hold.durations < _LEAST * self.spacing
         if not near.any() or near.size == 1:
             return hold
         kept = np.concatenate(([True], ~near[:-1], [True]))

@@ -133,7 +133,7 @@ def line_hold(
         speed = rotor_speeds(rotation.matrix(state[QUATERNION]), spin, constants)
         speeds = np.tile(speed, (_TURNED.size, 1))
         turned = _at_full_pace(abs(missing) * _TURNED, speeds, limit, rate)
-        there = roll_out(state, turned.speeds, np.diff(turned.times), numbers)[-1]
+        there = roll_out(state, turned.speeds, turned.durations, numbers)[-1]
         way = target - there[POSITION]
     length = float(np.linalg.norm(way))
     at, speeds = speeds_along(there[QUATERNION], way / length, length / radius, constants)
@@ -142,7 +142,7 @@ def line_hold(
         count = max(4, math.ceil(fastest.end / (spacing * solver.grid.fine)))
         rolled = fastest.resampled(np.linspace(0.0, fastest.end, count + 1, dtype=np.float64))
         line = turned.followed_by(rolled.delayed(turned.end))
-        end = roll_out(state, line.speeds, np.diff(line.times), numbers)[-1, POSITION]
+        end = roll_out(state, line.speeds, line.durations, numbers)[-1, POSITION]
         if float(np.linalg.norm(end - target)) < Margin.KEPT.value * radius:
             break
     return line

@@ -17,189 +17,35 @@ other                                                             Searching
 """
 
 import math
-import time
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from sphere_nmpc.model.disturbance import UNDISTURBED
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import (
-    MOMENTUM,
-    POSITION,
-    QUATERNION,
-    Vector,
-    nearer_sign,
-    state_error,
-)
+from sphere_nmpc.model.state import POSITION, QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import is_at_rest, is_saturated
-from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import hold_momentum, stop
-from sphere_nmpc.strategy.time_optimal.arrival import RAISES, ArrivalSolver, rolled_out
-from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later
-from sphere_nmpc.strategy.time_optimal.guide import way_of_time
+from sphere_nmpc.strategy.in_force import InForce
+from sphere_nmpc.strategy.plan import PlanStatus
+from sphere_nmpc.strategy.rest import stop
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later, solver_for
+from sphere_nmpc.strategy.time_optimal.following import (
+    at_its_end,
+    leads_to,
+    left_of,
+    next_leg,
+    solved_again,
+)
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 _LEAST_GAIN = 5e-3
 """Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
-_ENDED = 1e-3
-"""Time left of a plan [s] below which it has ended."""
 
 
 @dataclass(frozen=True)
 class Searching:
     """State without a plan: the rotors are ramped to rest, and a plan is searched for."""
-
-
-@dataclass(frozen=True, eq=False)
-class Following:
-    """State in which a plan is followed.
-
-    Attributes
-    ----------
-    plan : Plan
-        The plan, from time 0 on; its status tells whether it ends within the dead band.
-    since : float
-        Control time of its time 0, the sample at which it was solved [s].
-    solver : ArrivalSolver
-        Solver with the drive limits of the plan.
-    rested : ndarray of shape (2,), or None
-        Where the sphere has rested before the plan and those that it has taken the place of [m].
-    """
-
-    plan: Plan
-    since: float
-    solver: ArrivalSolver
-    rested: Vector | None = None
-
-    @property
-    def reaches(self) -> bool:
-        """Whether the plan ends within the dead band."""
-        return self.plan.status is PlanStatus.SOLVED
-
-    @property
-    def is_part(self) -> bool:
-        """Whether the goal of the plan is on the way to the final one."""
-        return self.plan.remaining_time > 0.0
-
-    @property
-    def arrives(self) -> float:
-        """Control time of the arrival at the final goal [s], to be expected from now on."""
-        return self.since + self.plan.duration + self.plan.remaining_time
-
-    def time_left(self, now: float) -> float:
-        """Return the time from `now` to the arrival [s]."""
-        return self.plan.duration - (now - self.since)
-
-    def leads_to(self, situation: Situation) -> bool:
-        """Return whether the goal of a situation is that of the plan, or has changed by little.
-
-        The change is that of where the goal will be when the plan arrives: the goal moves, or
-        momentum changes the orientation that can be held.
-        """
-        plan = self.plan
-        if plan.final is None:
-            own = plan.goal.at(plan.duration)
-        else:
-            own = situation.orientation.nearest(plan.final, situation.goal)
-        goal = situation.goal_after(self.time_left(situation.time))
-        return self.solver.settings.is_near(own, goal, situation.constants)
-
-    def prediction(self, now: float) -> Vector:
-        """Return the state, shape (9,), that the plan has predicted for `now`."""
-        times, states = self.plan.hold.times, self.plan.states
-        elapsed = min(max(now - self.since, 0.0), self.plan.duration)
-        i = max(1, int(np.searchsorted(times, elapsed)))
-        share = (elapsed - times[i - 1]) / (times[i] - times[i - 1])
-        state: Vector = states[i - 1] + share * (states[i] - states[i - 1])
-        state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
-        return state
-
-    def momentum_at_arrival(self, situation: Situation) -> Vector:
-        """Return the momentum of now with what it gains until the arrival, shape (3,)."""
-        if situation.is_out_of_balance:
-            return self.plan.momentum  # what differs now is planned away
-        predicted = self.prediction(situation.time)[MOMENTUM]
-        return situation.momentum + (self.plan.momentum - predicted)
-
-    def rest(self, now: float) -> FirstOrderHold:
-        """Return what remains of the plan at `now` [s], from time 0 (now) on."""
-        elapsed, hold, grid = now - self.since, self.plan.hold, self.solver.grid
-        rest = hold.starting_at(elapsed, hold.at(elapsed)).delayed(-elapsed)
-        return grid.thinned(grid.split(rest))
-
-    def solved_again(
-        self, situation: Situation, dead_band: float, deadline: float, is_aimed: bool = False
-    ) -> "Following | None":
-        """Return what remains of the plan, solved from the present state; None if it has ended.
-
-        Parameters
-        ----------
-        situation : Situation
-            The present one.
-        dead_band : float
-            Error within which the sphere rests at the goal.
-        deadline : float
-            Steady clock reading at which to stop [s].
-        is_aimed : bool, optional
-            Whether it is solved for the goal of the situation, rather than for its own.
-        """
-        now, settings, before = situation.time, self.solver.settings, self.plan
-        if self.time_left(now) < _ENDED:
-            return None
-        hold = rest = self.rest(now)
-        goal = self._goal_at(situation, is_aimed)
-        # With noise an error is left where it would take a manoeuvre to correct it.
-        noisy = settings.noisy_share * (dead_band - settings.least_dead_band)
-        wanted = max(settings.arrival_error, noisy)
-        for factor in RAISES:
-            plan = self.solver.solve(
-                situation, goal, hold, factor, deadline - time.perf_counter(), kept=True
-            )
-            if plan.error <= wanted or time.perf_counter() > deadline:
-                break
-            hold = plan.hold
-        if not is_clear(situation, plan.hold, Margin.KEPT):
-            # What remains of a plan that kept clear may still do so as it is.
-            plan = rolled_out(replace(before, goal=goal), situation, rest)
-            if not is_clear(situation, plan.hold, Margin.KEPT):
-                return None
-        reaches = plan.error <= max(dead_band, settings.leaving_error)
-        plan = replace(
-            plan, status=PlanStatus.SOLVED if reaches else PlanStatus.BEST_SO_FAR,
-            remaining_time=before.remaining_time, final=before.final, motion=before.motion,
-        )
-        return Following(plan, now, self.solver, self.rested)
-
-    def _goal_at(self, situation: Situation, is_aimed: bool) -> Goal:
-        """Return what it is solved for in a situation, see `solved_again`, from then on."""
-        own, elapsed = self.plan.goal, situation.time - self.since
-        if is_aimed and not self.is_part:
-            pose = nearer_sign(situation.goal_after(-elapsed), own.pose)
-            own = Goal(pose, own.orientation, situation.goal_rate)
-        return Goal(own.at(elapsed), own.orientation, own.rate)
-
-    def in_control_time(self, situation: Situation, max_speed: float) -> Plan:
-        """Return the plan that the loop follows, with what holds the momentum after its end.
-
-        The rotors turn at `max_speed` [rad/s] at most.
-        """
-        own, plan = self.plan, self.plan.delayed(self.since)
-        hold = hold_momentum(
-            plan.hold, own.momentum, UNDISTURBED if own.turns else situation.disturbance,
-            own.goal.pose[QUATERNION], max_speed,
-        )
-        rests = np.tile(own.states[-1], (hold.times.size - len(own.states), 1))
-        return replace(
-            plan, hold=hold, states=np.vstack((own.states, rests)), cost=own.error**2,
-            message=f"a motion of {own.duration:.2f} s",
-            beyond=way_of_time(own.remaining_time, situation, max_speed) if self.is_part else 0.0,
-        )
 
 
 @dataclass(frozen=True)
@@ -220,7 +66,8 @@ class Saturated:
     """State in which the rotors cannot hold the momentum and stay at their limits."""
 
 
-State = Searching | Following | Holding | Saturated
+State = Searching | InForce | Holding | Saturated
+"""That of following is an `InForce`; whether it ends in the dead band is its plan's status."""
 
 
 class Machine:
@@ -248,6 +95,7 @@ class Machine:
         """Forget plans and searches."""
         self.state: State = Searching()
         """The state at the last sampling instant."""
+        self._found_next: InForce | None = None
         self.search.reset()
 
     def forget_goal(self) -> None:
@@ -259,10 +107,19 @@ class Machine:
 
     def use_attained(self, acceleration: float) -> None:
         """Plan with the acceleration [rad/s^2] that the drives attain, also what remains."""
-        state, followed = self.state, self.search.solver
+        state, before = self.state, self.search.solver.robot
         self.search.use_attained(acceleration)
-        if isinstance(state, Following) and state.solver is followed is not self.search.solver:
-            self.state = replace(state, solver=self.search.solver)
+        if isinstance(state, InForce) and state.robot is before is not self.search.solver.robot:
+            self.state = replace(state, robot=self.search.solver.robot)
+
+    def enter_leg(self, situation: Situation) -> State:
+        """Follow the plan of the next leg where that is the one of the situation now."""
+        before = self.state
+        if isinstance(before, InForce):
+            self.state = before.on_leg(situation)
+            if self.state is not before:
+                self.search.begin_leg()
+        return self.state
 
     def advance(self, situation: Situation, deadline: float) -> State:
         """Put the next state in force and return it; a search in line stops at `deadline` [s]."""
@@ -271,21 +128,26 @@ class Machine:
 
     def _next(self, state: State, situation: Situation, deadline: float) -> State:
         """Return the state that follows, by the table of the module."""
-        tuning, goal, search = self._tuning, situation.goal, self.search
-        dead_band = tuning.dead_band(situation.noise, situation.uncertainty)
+        tuning, goal, search = self._tuning, situation.goal.pose, self.search
+        dead_band = tuning.dead_band(situation.plant.noise, situation.uncertainty)
         found = self._found(situation, dead_band, deadline)
         ended = False
-        if isinstance(state, Following):
-            ended = state.leads_to(situation)
-            kept = state.solved_again(situation, dead_band, deadline, is_aimed=ended)
+        if isinstance(state, InForce):
+            ended = self._leads_to(state, situation)
+            kept = solved_again(
+                state, situation, self._solver_of(state), dead_band, deadline, is_aimed=ended
+            )
             followed = self._better(kept, found, situation)
             if followed is not None:
-                return self._improved(followed, situation, dead_band, deadline)
+                leads = (ended and followed is kept) or self._leads_to(followed, situation)
+                suits = leads and _reaches(followed)
+                followed = self._improved(followed, situation, dead_band, deadline, suits)
+                return self._with_next(followed, situation, dead_band, deadline)
         limit = self._robot.max_rotor_speed
         if is_saturated(situation.momentum, goal[QUATERNION], limit):
             return Saturated()
         error = state_error(situation.state, goal)
-        tracked = tuning.tracked_error if situation.goal_rate.any() else 0.0
+        tracked = tuning.tracked_error if situation.goal.rate.any() else 0.0
         if isinstance(state, Holding) and error < max(dead_band, state.leaving_error, tracked):
             return state
         at_rest = is_at_rest(situation, limit)
@@ -304,26 +166,77 @@ class Machine:
         search.failed = 0
         return found
 
+    def _solver_of(self, followed: InForce) -> ArrivalSolver:
+        """Return the solver with the limits of the drives that a plan keeps."""
+        return solver_for(followed.robot, self._tuning)
+
+    def _leads_to(self, followed: InForce, situation: Situation) -> bool:
+        return leads_to(followed, situation, self._tuning)
+
     def _better(
-        self, kept: Following | None, found: Following | None, situation: Situation
-    ) -> Following | None:
+        self, kept: InForce | None, found: InForce | None, situation: Situation
+    ) -> InForce | None:
         """Return the plan to follow of the one in force and a found one; None without any."""
-        if found is None or (kept is not None and not _replaces(found, kept, situation)):
+        if found is None or (kept is not None and not self._replaces(found, kept, situation)):
             return kept
         self.search.failed = 0
-        return found
+        return found if kept is None else replace(found, after=kept.after)
+
+    def _replaces(self, found: InForce, kept: InForce, situation: Situation) -> bool:
+        """Return whether a plan that was found is followed instead of the one in force."""
+        if not self._leads_to(kept, situation):
+            return True
+        if not self._leads_to(found, situation) or not _reaches(found):
+            return False
+        gain = _LEAST_GAIN * self._solver_of(kept).grid.unit
+        return not _reaches(kept) or found.plan.arrival < kept.plan.arrival - gain
 
     def _found(
         self, situation: Situation, dead_band: float, deadline: float
-    ) -> Following | None:
+    ) -> InForce | None:
         """Return the plan of a search whose plan begins now, solved from the present state."""
-        result = self.search.take(situation.time)
-        if result is None:
+        taken = self.search.take(situation.time)
+        if taken is None:
             return None
-        task, plan = result
-        since = situation.time if task.from_rest else task.situation.time
-        found = Following(plan, since, task.solver, task.rested)
-        return found.solved_again(situation, dead_band, deadline)
+        found, is_next = taken
+        if is_next:
+            self._found_next = found
+            return None
+        return solved_again(found, situation, self._solver_of(found), dead_band, deadline)
+
+    def _with_next(
+        self, followed: InForce, situation: Situation, dead_band: float, deadline: float
+    ) -> InForce:
+        """Return a plan with that of the next leg: a found one where it is the shorter one."""
+        found, self._found_next = self._found_next, None
+        if found is None and followed.after is None:
+            return followed
+        plans = list[InForce]()
+        if _ends_leg(followed, situation) and self._leads_to(followed, situation):
+            for one in filter(None, (followed.after, found)):
+                solver = self._solver_of(one)
+                after = next_leg(
+                    replace(followed, after=one), situation, solver, dead_band, deadline
+                )
+                plans += [] if after is None else [after]
+        shortest = min(plans, key=lambda one: one.plan.duration, default=None)
+        return replace(followed, after=shortest)
+
+    def _begin_next(self, followed: InForce, situation: Situation, deadline: float) -> None:
+        """Begin a search for the next leg, or for a shorter plan of it."""
+        search, after, start = self.search, followed.after, at_its_end(followed, situation)
+        if after is None:
+            solver, known = search.solver_from(situation), None
+            start = start.nearest_to(start.state)
+        else:
+            solver = self._solver_of(after)
+            start = start.aimed_at(start.aim(after.plan.leg.goal.pose))
+            known = left_of(after.plan, start.time, solver.grid)
+        search.improved_at = situation.time
+        search.begin(
+            start, solver, deadline, start.state[POSITION], from_rest=True, known=known,
+            is_next=True,
+        )
 
     def _search(self, situation: Situation, at_rest: bool, deadline: float) -> None:
         """Begin a search where there is no plan."""
@@ -335,35 +248,57 @@ class Machine:
         self.search.begin(start, solver, deadline, place, from_rest=at_rest)
 
     def _improved(
-        self, plan: Following, situation: Situation, dead_band: float, deadline: float
-    ) -> Following:
-        """Begin a search for a better plan, once a sample period; return the best one so far."""
-        search, now = self.search, situation.time
-        if search.is_busy:
-            return plan
-        suits = plan.reaches and plan.leads_to(situation)
-        anew = plan.is_part or not suits
-        if not anew and (now <= search.next_at or self._is_improved(plan, now)):
-            return plan
-        hold = plan.plan.hold.delayed(plan.since)
-        start = later(situation, hold, search.begins(now), plan.solver.grid.fine)
-        known = None
-        if not anew:
-            start = replace(start, goal=nearer_sign(start.goal, plan.plan.goal.pose))
-            known = plan.rest(start.time)
-        rested = plan.rested if suits else None
-        search.improved_at = now
-        search.begin(start, plan.solver, deadline, rested, known=known, is_new=plan.is_part)
-        if search.ahead:
-            return plan
-        found = self._found(situation, dead_band, deadline)
-        return self._better(plan, found, situation) or plan
+        self, followed: InForce, situation: Situation, dead_band: float, deadline: float,
+        suits: bool,
+    ) -> InForce:
+        """Begin a search for a better plan, once a sample period; return the best one so far.
 
-    def _is_improved(self, plan: Following, now: float) -> bool:
+        One `suits` that ends at the goal, or on the way there.
+        """
+        search, now, plan = self.search, situation.time, followed.plan
+        if search.is_busy:
+            return followed
+        if suits and self._lacks_next(followed, situation):
+            self._begin_next(followed, situation, deadline)
+            self._found(situation, dead_band, deadline)
+            return followed
+        anew = not suits or plan.leg.end is LegEnd.THROUGH
+        if not anew and (now <= search.next_at or self._is_improved(followed, now)):
+            return followed
+        solver, known = self._solver_of(followed), None
+        start = later(situation, plan.hold, search.begins(now), solver.grid.fine)
+        if not anew:
+            pose = nearer_sign(start.goal.pose, plan.leg.goal.pose)
+            start, known = start.aimed_at(start.aim(pose)), left_of(plan, start.time, solver.grid)
+        rested = followed.rested if suits else None
+        search.improved_at = now
+        is_passed = plan.leg.end is LegEnd.THROUGH
+        search.begin(start, solver, deadline, rested, known=known, is_new=is_passed)
+        if search.ahead:
+            return followed
+        found = self._found(situation, dead_band, deadline)
+        return self._better(followed, found, situation) or followed
+
+    def _lacks_next(self, followed: InForce, situation: Situation) -> bool:
+        """Return whether a plan of the next leg is to be searched for, or a shorter one.
+
+        The latter only once no earlier arrival is searched for.
+        """
+        search, now = self.search, situation.time
+        if not _ends_leg(followed, situation):
+            return False
+        if search.failed_ahead >= self._tuning.failed_searches:
+            return False
+        if followed.after is None:
+            return self._found_next is None
+        return now > search.next_at and self._is_improved(followed, now)
+
+    def _is_improved(self, followed: InForce, now: float) -> bool:
         """Return whether no earlier arrival is searched for any more."""
-        return not plan.is_part and (
+        left = followed.plan.end - self.search.begins(now)
+        return followed.plan.leg.end is LegEnd.REST and (
             self.search.failed >= self._tuning.failed_searches
-            or plan.time_left(self.search.begins(now)) < 2.0 * plan.solver.grid.spacing
+            or left < 2.0 * self._solver_of(followed).grid.spacing
         )
 
     def until(self, situation: Situation) -> float:
@@ -371,21 +306,25 @@ class Machine:
         state, now = self.state, situation.time
         until = self.search.a_period_after(now)
         if isinstance(state, Holding):
-            return -math.inf if situation.goal_rate.any() else until
-        if not isinstance(state, Following) or not state.reaches:
+            return -math.inf if situation.goal.rate.any() else until
+        if not isinstance(state, InForce) or not _reaches(state):
             return -math.inf
-        if not self.search.is_busy and not self._is_improved(state, now):
-            if state.is_part:
+        if not self.search.is_busy:
+            lacks_next = self._lacks_next(state, situation)
+            if state.plan.leg.end is LegEnd.THROUGH or (lacks_next and state.after is None):
                 return -math.inf
-            until = self.search.next_at
-        return min(until, state.since + state.plan.duration)
+            if lacks_next or not self._is_improved(state, now):
+                until = self.search.next_at
+        return min(until, state.plan.end)
 
 
-def _replaces(found: Following, kept: Following, situation: Situation) -> bool:
-    """Return whether a plan that was found is followed instead of the one in force."""
-    if not kept.leads_to(situation):
-        return True
-    if not found.leads_to(situation) or not found.reaches:
+def _ends_leg(followed: InForce, situation: Situation) -> bool:
+    """Return whether a plan ends at a goal with another leg after it."""
+    if situation.leg == len(situation.course.legs) - 1:
         return False
-    gain = _LEAST_GAIN * kept.solver.grid.unit
-    return not kept.reaches or found.arrives < kept.arrives - gain
+    return followed.plan.leg.end is LegEnd.REST and _reaches(followed)
+
+
+def _reaches(followed: InForce) -> bool:
+    """Return whether a plan ends within the dead band."""
+    return followed.plan.status is PlanStatus.SOLVED

@@ -60,7 +60,7 @@ the end."""
 
 
 class ArrivalSearch:
-    """Search from one situation; each call of `improve` begins with what the last one found.
+    """Search from one situation, at time 0; `improve` begins with what the last call found.
 
     Parameters
     ----------
@@ -90,13 +90,14 @@ class ArrivalSearch:
         self._turn: Vector = np.zeros(2)
         """Displacement of a turn [m]."""
         self._near = situation
-        if situation.has_small_momentum and (not detour or (known is not None and known.turns)):
+        has_turns = known is not None and known.made.turns > 0
+        if situation.has_small_momentum and (has_turns or not detour):
             self._aim_near(known)
         self._least = self._rolling_time(self._near) + detour / self._rolling.speed
         self._least += robot.ramp_time
         self._reached = _REACHED
         if situation.has_small_momentum:  # otherwise the sphere leaves the goal by itself
-            error = state_error(situation.state, situation.goal)
+            error = state_error(situation.state, situation.goal.pose)
             self._reached = min(_REACHED, _REACHED_SHARE * error)
         self._window, self._later = settings.window * grid.unit, 0.0
         self.best: Plan | None = known
@@ -171,7 +172,7 @@ class ArrivalSearch:
                 break
             if arrival.error > self._reached:
                 arrival = self._with_more_time(arrival)
-            polished.append(self._polished(self._near, arrival.goal, arrival.hold))
+            polished.append(self._polished(self._near, arrival.leg.goal, arrival.hold))
             yield
         reached = [arrival for arrival in polished if arrival.error < self._reached]
         best = self.best
@@ -191,7 +192,7 @@ class ArrivalSearch:
         hold = arrival.hold
         factor = 1.0 + _TIME_OF_ERROR * self._grid.unit * arrival.error / arrival.duration
         slower = FirstOrderHold(factor * hold.times, hold.speeds / factor)
-        goal = arrival.goal
+        goal = arrival.leg.goal
         return self._counted(self._solver.trial(self._near, goal, slower, aware=True))
 
     def _polished(self, situation: Situation, goal: Goal, guess: FirstOrderHold) -> Plan:
@@ -206,12 +207,13 @@ class ArrivalSearch:
         """
         for turns, more in self._steps_to_goal(added):
             longer = more * self._rolling.turn_time
-            if arrival.turns:
+            if arrival.made.turns:
                 guess = self._lengthened(arrival, longer)
             else:
                 guess = with_turns(arrival.hold, longer, self._drives.limit)
-            goal = self._goal_after(arrival.goal.pose, turns)
-            arrival = self._polished(self._situation, self._situation.aim(goal), guess)
+            near = arrival.leg.goal.at(self._situation.time)
+            goal = self._situation.aim(self._goal_after(near, turns))
+            arrival = self._polished(self._situation, goal, guess)
             yield
         arrival = replace(arrival, hold=self._grid.refined(arrival.hold))
         for found in self._solver.solves(self._situation, arrival, self._deadline):
@@ -234,7 +236,7 @@ class ArrivalSearch:
         return self._is_clear(arrival)
 
     def _counted(self, arrival: Plan) -> Plan:
-        self.work += arrival.work
+        self.work += arrival.made.work
         return arrival
 
     def _guesses(self, share: float) -> list[Guess]:
@@ -255,35 +257,38 @@ class ArrivalSearch:
         for k in range(round(share * settings.polished)):
             duration = shortest + self._window * self._rng.random()
             hold = random_hold(self._rng, duration, self._drives.limit)
-            goal = self._near.goal if k % 2 else flipped_sign(self._near.goal)
+            goal = self._near.goal.pose
+            goal = goal if k % 2 else flipped_sign(goal)
             found.append(Guess(self._grid.coarse(hold), goal))
         return found
 
     def _lengthened(self, arrival: Plan, longer: float) -> FirstOrderHold:
         """Return the hold of an arrival with whole turns, rolling steadily for longer [s]."""
-        interval = int(np.argmax(np.diff(arrival.hold.times)))
+        interval = int(np.argmax(arrival.hold.durations))
         return without_turns(arrival.hold, interval, -longer)
 
     def _aim_near(self, known: Plan | None) -> None:
         """Leave whole turns of a distant goal out of the search."""
         situation, rolling = self._situation, self._rolling
-        there = situation.goal_after(self._rolling_time(situation))
+        there = situation.goal.at(situation.time + self._rolling_time(situation))
         way = there[POSITION] - situation.state[POSITION]
         if known is None:
             beyond = float(np.linalg.norm(way)) - self._settings.near_distance(self._solver.robot)
             self._turns = max(0, int(beyond / rolling.turn_length))
         else:
-            self._turns = known.turns
-            interval = int(np.argmax(np.diff(known.hold.times)))
+            self._turns = known.made.turns
+            interval = int(np.argmax(known.hold.durations))
             way = known.states[interval + 1, POSITION] - known.states[interval, POSITION]
         if self._turns:
             self._turn = rolling.turn_length / float(np.linalg.norm(way)) * way
-            self._near = replace(situation, goal=self._goal_after(situation.goal, 0))
+            self._near = situation.aimed_at(
+                situation.aim(self._goal_after(situation.goal.pose, 0))
+            )
 
     def _rolling_time(self, situation: Situation) -> float:
         """Return the time of steady rolling to where the goal then is [s]."""
-        way = situation.goal[POSITION] - situation.state[POSITION]
-        velocity, speed = situation.goal_rate[POSITION], self._rolling.speed
+        way = situation.goal.pose[POSITION] - situation.state[POSITION]
+        velocity, speed = situation.goal.rate[POSITION], self._rolling.speed
         distance, along = float(np.linalg.norm(way)), float(way @ velocity)
         excess = speed**2 - float(velocity @ velocity)
         if excess <= 0.0:  # it is met where it is now, if at all
@@ -305,8 +310,9 @@ class ArrivalSearch:
         """Return the goal that is `turns` whole turns beyond the near one."""
         goal, missing = near.copy(), self._turns - turns
         # Without these turns it is met earlier.
-        moved = self._rolling.turn_time * self._situation.goal_rate[POSITION]
-        goal[POSITION] = self._situation.goal[POSITION] + missing * (moved - self._turn)
+        aimed = self._situation.goal
+        moved = self._rolling.turn_time * aimed.rate[POSITION]
+        goal[POSITION] = aimed.pose[POSITION] + missing * (moved - self._turn)
         return goal
 
 

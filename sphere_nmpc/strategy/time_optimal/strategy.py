@@ -16,18 +16,19 @@ where they are saturated by a slope they stay at their limits until it ends.
 
 import time
 from dataclasses import replace
+from functools import partial
 
-from sphere_nmpc.conditions import Kind
-from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import SATURATED, AtRest
 from sphere_nmpc.strategy.clearance import stop_before_contact
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import come_to_rest, stop
+from sphere_nmpc.strategy.time_optimal.following import held_at_its_end, momentum_at_arrival
 from sphere_nmpc.strategy.time_optimal.machine import (
-    Following,
     Holding,
     Machine,
     Saturated,
@@ -62,7 +63,7 @@ class TimeOptimalStrategy:
         self._tuning = TimeOptimalSettings() if tuning is None else tuning
         self._at_rest = AtRest(settings, robot, self._tuning)
         self._machine = Machine(settings, robot, self._tuning)
-        self._last: Situation | None = None
+        self._aimed: tuple[object, int] | None = None
 
     def search_beside(self, worker: Worker) -> None:
         """Search by a worker from now on, and follow the plan meanwhile.
@@ -89,34 +90,41 @@ class TimeOptimalStrategy:
     def reset(self) -> None:
         """Forget plans and searches; the strategy then behaves like a new one."""
         self._machine.reset()
-        self._last = None
+        self._aimed = None
         self._at_rest.reset()
 
     def plan(self, situation: Situation) -> Plan:
         """Follow the plan, search for a new one, or rest at the goal."""
         began = time.perf_counter()
         machine, at_rest = self._machine, self._at_rest
-        situation = self._with_member(situation)
-        if self._is_other_goal(situation):
+        aimed = situation.course.origin, situation.leg
+        if aimed != self._aimed:
             at_rest.reset()
             machine.forget_goal()
-        self._last = situation
-        machine.use_attained(situation.acceleration)
-        before = machine.state
-        end = before.momentum_at_arrival if isinstance(before, Following) else None
+        self._aimed = aimed
+        machine.use_attained(situation.plant.acceleration)
+        before, end = machine.enter_leg(situation), None
+        if isinstance(before, InForce):
+            situation = situation.nearest_to(before.plan.leg.goal.pose)
+            end = partial(momentum_at_arrival, before)
+        else:
+            situation = situation.nearest_to(situation.state)
         rests = isinstance(before, Holding)
         found_none = isinstance(before, Searching) and machine.search.failed > 0
-        goal = at_rest.goal(situation, end, rests, found_none)
-        if goal is not situation.goal:
-            situation = replace(situation, goal=goal)
+        situation = situation.aimed_at(
+            situation.aim(at_rest.goal(situation, end, rests, found_none))
+        )
         state = machine.advance(situation, began + situation.time_budget)
         if isinstance(state, Holding) and not rests:
             at_rest.forget_corrections()
         plan = self._plan_of(state, situation)
-        took = plan.solve_time if isinstance(state, Holding) else time.perf_counter() - began
+        made = plan.made
+        if not isinstance(state, Holding):
+            made = replace(made, solve_time=time.perf_counter() - began)
+        if at_rest.limitation and plan.limitation is None:
+            plan = plan.giving_up(at_rest.limitation)
         return replace(
-            plan, until=machine.until(situation), tolerance=self._tuning.arrival_error,
-            given_up=plan.given_up or at_rest.limitation, solve_time=took,
+            plan, until=machine.until(situation), tolerance=self._tuning.arrival_error, made=made
         )
 
     def _plan_of(self, state: State, situation: Situation) -> Plan:
@@ -124,39 +132,21 @@ class TimeOptimalStrategy:
         robot, search = self._robot, self._machine.search
         if isinstance(state, Holding):
             return self._at_rest.plan(situation)
-        if isinstance(state, Following):
-            return state.in_control_time(situation, robot.max_rotor_speed)
+        if isinstance(state, InForce):
+            own, after = state.plan, state.after
+            rest = held_at_its_end((after or state).plan, situation, robot.max_rotor_speed)
+            return rest if after is None else own.spliced(rest.hold, rest.states)
         if isinstance(state, Saturated):
-            plan = come_to_rest(situation, robot, "saturated", PlanStatus.SATURATED)
-            return replace(plan, given_up=SATURATED)
+            return come_to_rest(
+                situation, robot, "saturated", PlanStatus.SATURATED,
+                Condition(Kind.GIVEN_UP, SATURATED),
+            )
         if search.no_way:
             lasts = situation.floor.lasting is situation.floor
-            plan = stop(situation, robot, "no way to the goal", search.no_way)
-            return replace(plan, unreachable=Kind.NO_WAY) if lasts else plan
+            kind = Kind.NO_WAY if lasts else Kind.GIVEN_UP
+            return stop(situation, robot, "no way to the goal", Condition(kind, search.no_way))
         plan = stop(situation, robot, "no arrival found yet")
         given_up = stop_before_contact(situation, plan.hold)
         if not given_up and search.failed >= _MANY:
             given_up = "the goal for now: no motion to it was found from here"
-        return replace(plan, given_up=given_up)
-
-    def _is_other_goal(self, situation: Situation) -> bool:
-        """Return whether the goal is another one than the last, which may have moved."""
-        last, orientation = self._last, situation.orientation
-        if last is None or last.orientation is not orientation:
-            return True
-        moved = last.goal_after(situation.time - last.time)
-        moved = orientation.nearest(moved, situation.goal)
-        return not self._tuning.is_near(moved, situation.goal, situation.constants)
-
-    def _with_member(self, situation: Situation) -> Situation:
-        """Return the situation with the member of the goals that is nearest to the plan's end.
-
-        Without a plan that is the one nearest to the present state.
-        """
-        if situation.orientation is Orientation.FULL:
-            return situation
-        state, near = self._machine.state, situation.state
-        if isinstance(state, Following):
-            near = state.plan.goal.pose
-        goal = situation.orientation.nearest(situation.goal, near)
-        return replace(situation, goal=goal)
+        return plan.giving_up(given_up)

@@ -9,14 +9,16 @@ import pytest
 
 from sphere_nmpc import own_folder
 from sphere_nmpc.conditions import Kind
+from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.goal_memory import goal_memory
 from sphere_nmpc.control.goal_report import GoalReport, Patience
 from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation
+from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import as_state
 
 POSES = [as_state([1.0, -2.0, 0.0, 0.6, 0.8, 0.0]), as_state([0.1, 0.2, 1.0, 0.0, 0.0, 0.0])]
-GOALS = GoalSequence((Goal(POSES[0]), Goal(POSES[1], Orientation.ANY_HEADING)), 42, 1)
+GOALS = ActiveCourse(Course.of(Goal(POSES[0]), Goal(POSES[1], Orientation.ANY_HEADING)), 42, 1)
 STAMP = 12_345_678_901
 
 
@@ -36,7 +38,7 @@ def test_goal_is_resumed_for_some_time_and_on_the_same_clock_only(path, monkeypa
     monkeypatch.setattr(own_folder.time, "time", lambda: written + 30.0)
     found = goal_memory(path, 30.0).recall(STAMP, True)
     assert found is not None and found[1] == 30.0
-    assert found[0].lists_same(GOALS)
+    assert found[0].course.is_listed_in(GOALS.course)
     assert (found[0].stamp, found[0].index) == (42, 1)
     assert goal_memory(path, 29.0).recall(STAMP, True) is None
     path.parent.chmod(0o777)

@@ -89,7 +89,8 @@ def first_missing(run: Trajectory) -> str:
 @pytest.mark.parametrize(("robot", "period"), [(ROBOT, 0.1), (PALM, 0.5)])
 def test_strategy_that_stands_still_is_told_within_some_periods(robot, period) -> None:
     settings = ControllerSettings(strategy="paper", sample_period=period)
-    controller = Controller(settings, robot, Standing(message="converged"))
+    told = Condition(Kind.PLANNED, "converged")
+    controller = Controller(settings, robot, Standing(conditions=(told,)))
     patience = max(5.0, 6.0 * settings.period)
     run = closed_loop(controller, settings, patience + 2.0 * settings.period, robot=robot)
     modes = [d.mode for d in run.decisions]
@@ -112,7 +113,9 @@ def test_strategy_that_stands_still_is_told_within_some_periods(robot, period) -
         ({"strategy": "paper", "momentum": False}, {}, Blocked, "is it blocked, do its rotors"),
         ({}, {"worker": DelayedWorker(lambda: 0.0, 1.0)}, Simulator,
          "there is no plan: no arrival found yet"),
-        ({}, {"strategy": Standing(status=PlanStatus.HOLDING, given_up="turns: too much")},
+        ({}, {"strategy": Standing(
+            status=PlanStatus.HOLDING, conditions=(Condition(Kind.GIVEN_UP, "turns: too much"),)
+        )},
          Simulator, "the strategy gives up turns: too much"),
     ],
     ids=["blocked", "blocked, paper", "waits for a plan", "gives up"],

@@ -14,9 +14,9 @@ from motions import LUMPED, START, predicted, random_ramps
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
-from sphere_nmpc.estimation.pose_filter import PlantEstimate
 from sphere_nmpc.estimation.posterior import Posterior
 from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSE, Vector, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 

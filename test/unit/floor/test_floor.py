@@ -154,8 +154,8 @@ def test_a_floor_is_freed_with_all_that_was_kept_with_it() -> None:
     try:
         floor = Floor(random_grid(1), RADIUS, 0.02).prepared()
         goal = np.array([0.3, 1.2])
-        situation = Situation(0.0, np.append(goal, (1, 0, 0, 0)), np.append(goal, (1, 0, 0, 0)),
-                              np.zeros(2), RobotParameters().lumped, floor=floor)
+        situation = Situation.of(0.0, np.append(goal, (1, 0, 0, 0)), np.append(goal, (1, 0, 0, 0)),
+                                 np.zeros(2), RobotParameters().lumped, floor=floor)
         assert route_to(floor, goal) is route_to(floor, goal)
         refusal(situation, floor)
         needed_distance(situation, Margin.FOUND)

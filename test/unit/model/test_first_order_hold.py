@@ -120,7 +120,7 @@ def plans() -> list[tuple[Vector, FirstOrderHold]]:
     solver = solver_for(robot, TimeOptimalSettings())
     for scenario in draw_scenarios(8, 77, "anywhere"):
         start = without_momentum(scenario.start)
-        situation = Situation(0.0, start, scenario.goal, np.zeros(2), robot.lumped)
+        situation = Situation.of(0.0, start, scenario.goal, np.zeros(2), robot.lumped)
         arrival = ArrivalSearch(solver, situation, 1).improve(50_000)
         assert arrival is not None
         found.append((start, arrival.hold))

@@ -116,9 +116,9 @@ def test_equivalent_robots_have_the_same_plan_in_their_units(name) -> None:
         start, goal = case.start.copy(), case.goal.copy()
         start[POSITION] *= units.length
         goal[POSITION] *= units.length
-        situation = Situation(0.0, without_momentum(start), goal, np.zeros(2), robot.lumped)
+        situation = Situation.of(0.0, without_momentum(start), goal, np.zeros(2), robot.lumped)
         plan = make_strategy(settings, robot).plan(situation)
-        plans.append((plan.hold.speeds / units.speed, plan.cost))
+        plans.append((plan.hold.speeds / units.speed, plan.made.cost))
     # Rounding of the products, which depends on the processor, carried through ten iterations.
     # Near its minimum the cost is flat: the inputs agree to the root of what the costs do.
     assert plans[1][1] == pytest.approx(plans[0][1], rel=1e-9)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error, error_between
-from sphere_nmpc.model.goal import Goal, GoalSequence, Orientation, moved
+from sphere_nmpc.model.goal import Goal, Orientation, moved
 from sphere_nmpc.model.state import (
     POSITION,
     QUATERNION,
@@ -188,7 +188,6 @@ def test_goals_are_equal_in_what_they_demand() -> None:
     assert Goal(pose, anywhere).equals(Goal(turned, anywhere))
     assert not Goal(pose).equals(Goal(turned))
     assert not Goal(pose).equals(Goal(pose, anywhere))
-    assert not GoalSequence((Goal(pose),)).lists_same(GoalSequence((Goal(pose), Goal(pose))))
 
 
 def test_goal_moves_at_its_rate() -> None:

@@ -16,13 +16,16 @@ from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model.course import Leg
 from sphere_nmpc.model.disturbance import (
     Disturbance,
     imbalance_of_offset,
     momentum_of_push,
     slope_torque,
 )
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.ros.controller.status import ControllerStatus, momentum_values
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
@@ -32,8 +35,13 @@ CONSTANTS = ["learnt_shell_radius_m", "learnt_c1", "learnt_r1", "learnt_r3"]
 FLOOR = Floor(Grid(np.zeros((40, 40), dtype=bool), 0.1), 0.3, 0.02)
 
 
+def arriving(time: float) -> dict[str, Any]:
+    """Return what is changed of a plan that arrives at a time [s]."""
+    return {"leg": Leg(Goal(upright_state(0.0, 0.0, 0.0), since=time))}
+
+
 def status_values(
-    floor: Floor | None = None, plan: Mapping[str, float] = {}, **settings: Any
+    floor: Floor | None = None, plan: Mapping[str, Any] = {}, **settings: Any
 ) -> dict[str, Any]:
     """Return the values at 2 s with a plan that is changed."""
     chosen = ControllerSettings(**settings)
@@ -62,9 +70,9 @@ def test_learnt_constants_have_deviations(noise) -> None:
         (None, {}, "clearance_m", None),
         (FLOOR, {}, "clearance_m", math.nan),
         (FLOOR, {"clearance": 0.125}, "clearance_m", 0.125),
-        (None, {"arrival": 3.5}, "time_left_s", 1.5),
-        (None, {"arrival": 1.5}, "time_left_s", 0.0),
-        (None, {"arrival": math.nan}, "time_left_s", math.nan),
+        (None, arriving(3.5), "time_left_s", 1.5),
+        (None, arriving(1.5), "time_left_s", 0.0),
+        (None, arriving(math.nan), "time_left_s", math.nan),
     ],
 )
 def test_clearance_is_told_on_a_floor_and_time_left_until_an_arrival(

@@ -9,6 +9,7 @@ import pytest
 from floor_plans import DOORWAY, floor_of
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,
     Disturbance,
@@ -33,10 +34,11 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.at_rest import TOLERANCE, AtRest, holdable_goal
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.in_force import InForce
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_nmpc.strategy.time_optimal.background import solver_for
-from sphere_nmpc.strategy.time_optimal.guide import local_goal, route_of, time_to_go
-from sphere_nmpc.strategy.time_optimal.machine import Following
+from sphere_nmpc.strategy.time_optimal.guide import Guide
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.study.motion import disturbance_of
@@ -65,7 +67,7 @@ def situation(
     """Return a situation at the goal or at another pose."""
     state = np.append(goal if pose is None else pose, momentum)
     speeds = np.array(in_force)
-    return Situation(0.0, state, goal, speeds, ROBOT.lumped, disturbance=disturbance)
+    return Situation.of(0.0, state, goal, speeds, ROBOT.lumped, disturbance=disturbance)
 
 
 def out_of_balance(momentum: float, slope: Vector = UNDISTURBED.slope) -> Situation:
@@ -121,26 +123,31 @@ def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
         return situation(upright(*distance * direction, 0.6), momentum, pose=upright(*place))
 
     for near in (on_the_way(np.zeros(2), 2.4e4), on_the_way(np.zeros(2), 2.4 * leg, pushed)):
-        (aim,) = local_goal(near, SOLVER, 0).aims
-        assert aim.is_final and aim.situation is near
+        (aim,) = Guide(near, SOLVER).guidance(0).aims
+        assert not aim.is_local and aim.situation is near
     for place, momentum, length in (
         (leg * direction, pushed, leg), (np.zeros(2), NO_MOMENTUM, 1e4),
     ):
         far = on_the_way(place, 1e5, momentum)
-        (aim,) = local_goal(far, SOLVER, 0).aims
-        np.testing.assert_allclose(aim.situation.goal[POSITION], place + length * direction)
-        assert not aim.is_final and not aim.detour
-        assert time_to_go(far, aim.situation.goal[POSITION], 100.0) > 1e4
+        (aim,) = Guide(far, SOLVER).guidance(0).aims
+        np.testing.assert_allclose(aim.situation.goal.pose[POSITION], place + length * direction)
+        assert aim.is_local and not aim.detour
+        there = np.append(aim.situation.goal.pose, momentum)
+        to_it = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, np.zeros(2)), there[None, :])
+        leg = Guide(far, SOLVER).on_the_way(to_it).leg
+        assert leg.end is LegEnd.THROUGH and leg.time_left > 1e4
+        assert leg.way_left == pytest.approx(1e5 - np.linalg.norm(there[POSITION]))
 
 
 def test_detour_of_a_local_goal_is_by_how_much_the_route_to_it_is_longer_than_the_line() -> None:
     start, goal = upright(1.0, 0.5), upright(5.0, 3.2)
     now = replace(situation(goal, pose=start), floor=floor_of(DOORWAY))
-    (aim,) = local_goal(now, SOLVER, 0).aims
-    reached = aim.situation.goal[POSITION]
-    ahead = route_of(now).length(start[POSITION]) - route_of(now).length(reached)
+    guide = Guide(now, SOLVER)
+    (aim,) = guide.guidance(0).aims
+    reached = aim.situation.goal.pose[POSITION]
+    ahead = guide.route.length(start[POSITION]) - guide.route.length(reached)
     direct = float(np.linalg.norm(reached - start[POSITION]))
-    assert 0.0 < aim.detour < 0.2 * direct and not aim.is_final
+    assert 0.0 < aim.detour < 0.2 * direct and aim.is_local
     assert aim.detour == pytest.approx(max(1e-3, ahead - direct))
 
 
@@ -157,11 +164,12 @@ def test_plant_stands_still_where_the_command_holds_its_momentum(
 ) -> None:
     start = upright(0.0, 0.0, 0.8)
     plant, disturbance = RollingPlant(ROBOT, start, world), disturbance_of(world, ROBOT)
-    momentum = 0.1 * disturbance.at_rest(start[QUATERNION])
-    hold = hold_momentum(
-        FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2))), momentum, disturbance,
-        start[QUATERNION], ROBOT.max_rotor_speed, 5.0,
-    )
+    torque = disturbance.at_rest(start[QUATERNION])
+    hold = FirstOrderHold(np.array([0.0, 0.1]), np.zeros((2, 2)))
+    for _ in range(5):
+        hold = hold.followed_by(hold_momentum(
+            hold, hold.end * torque, disturbance, start[QUATERNION], ROBOT.max_rotor_speed
+        ))
     assert hold.end == pytest.approx(5.1)
     assert np.max(np.abs(hold.speeds)) > 30.0
     for k in range(510):
@@ -241,10 +249,10 @@ def test_plan_ends_at_rest_at_the_goal_as_predicted_and_keeps_every_limit(
     allowed = 0.02
     np.testing.assert_allclose(hold.speeds[-1], rest, atol=allowed)
     np.testing.assert_allclose(arrival.states[-1, MOMENTUM], end[MOMENTUM], atol=allowed)
-    np.testing.assert_array_equal(hold.speeds[0], now.input_in_force)
+    np.testing.assert_array_equal(hold.speeds[0], now.speeds)
     assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
     slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
     assert np.max(slopes) <= ROBOT.max_rotor_acceleration + 1e-3
-    predicted = Following(arrival, 0.0, SOLVER).prediction(float(hold.times[middle]))
+    predicted = InForce(arrival, now, ROBOT).at(float(hold.times[middle]))
     assert state_error(predicted, states[middle, POSE]) < 1e-4
     np.testing.assert_allclose(predicted[MOMENTUM], states[middle, MOMENTUM], atol=1e-2)

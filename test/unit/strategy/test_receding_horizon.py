@@ -42,7 +42,8 @@ def situation(
     time: float = 0.0, state: Vector | None = None, in_force: Vector = REST, case: int = 1
 ) -> Situation:
     start = PAPER_CASES[case].start if state is None else state
-    return Situation(time, without_momentum(start), PAPER_CASES[case].goal, in_force, ROBOT.lumped)
+    goal = PAPER_CASES[case].goal
+    return Situation.of(time, without_momentum(start), goal, in_force, ROBOT.lumped)
 
 
 @pytest.fixture
@@ -80,13 +81,13 @@ def test_plan_is_a_local_minimum_of_eq_24(case: int, alpha: float, beta: float) 
 
     states, knots, rng = plan.states[:, POSE], plan.hold.speeds, np.random.default_rng(0)
     # Rounding of a sum of a few terms.
-    assert plan.cost == pytest.approx(cost(states, knots), rel=1e-12)
+    assert plan.made.cost == pytest.approx(cost(states, knots), rel=1e-12)
     np.testing.assert_allclose(states, rolled(PAPER_CASES[case].start, knots), atol=1e-12)
     for _ in range(30):
         near = knots + np.vstack((REST, rng.normal(scale=0.3, size=(N, 2))))
         near[1:] = np.clip(near[1:], -100.0, 100.0)
         # A decrease of 1e-9 of the cost is where the solver stops; curvature hides no more.
-        assert cost(rolled(states[0], near), near) > plan.cost * (1.0 - 1e-5)
+        assert cost(rolled(states[0], near), near) > plan.made.cost * (1.0 - 1e-5)
 
 
 @pytest.mark.parametrize("left", [1e-5, 0.1])
@@ -104,7 +105,7 @@ def test_short_first_interval_keeps_the_limit_of_acceleration(
 def test_state_at_the_goal_leads_to_no_motion(strategy: PaperStrategy) -> None:
     plan = strategy.plan(situation(state=PAPER_CASES[1].goal))
     np.testing.assert_allclose(plan.hold.speeds, 0.0, atol=1e-9)
-    assert plan.cost == pytest.approx(0.0, abs=1e-12)
+    assert plan.made.cost == pytest.approx(0.0, abs=1e-12)
 
 
 def test_initial_guess_is_zero_at_first_and_then_the_shifted_plan_with_zeros(
@@ -168,9 +169,9 @@ def test_plan_that_is_followed_survives_a_change(name: str) -> None:
 def test_changed_cap_on_iterations_and_weight_hold_from_the_next_plan_on(name: str) -> None:
     settings = ControllerSettings(strategy=name)
     made, second = followed(settings)
-    assert made.plan(second).iterations > 1
+    assert made.plan(second).made.iterations > 1
     made.change(replace(settings, max_iterations=1))
-    assert made.plan(second).iterations == 1
+    assert made.plan(second).made.iterations == 1
     made.change(replace(settings, input_weight=1e6))
     assert np.max(np.abs(made.plan(second).hold.speeds[1:])) < 1.0
 
@@ -207,7 +208,7 @@ def test_goal_is_reached_in_time(name, start, goal, latest) -> None:
 
 
 def test_rest_is_a_stationary_point_of_a_turn_on_the_spot_but_no_minimum(strategy) -> None:
-    turn = Situation(0.0, without_momentum(UPRIGHT), turned(heading=90.0), REST, ROBOT.lumped)
+    turn = Situation.of(0.0, without_momentum(UPRIGHT), turned(heading=90.0), REST, ROBOT.lumped)
     problem = strategy._problem(turn, T * np.arange(N + 1))
     at_rest = expand(problem, np.zeros(2 * N))
     # The gradient is zero but for rounding of the states, of order one.

@@ -1,0 +1,86 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Courses: legs in order, each with the goal at its end and how it ends there.
+
+A course is made once, where goals come in; from then on it is compared by identity.
+"""
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+from sphere_nmpc.model.goal import Goal
+
+
+class LegEnd(Enum):
+    """How a leg ends at its goal."""
+
+    REST = "rest"
+    """The sphere comes to rest there."""
+    THROUGH = "through"
+    """It goes on before it is there; only where that fails does it rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """Part of a course that ends at one goal.
+
+    Attributes
+    ----------
+    goal : Goal
+        Set of goals, of which one member is to be reached. Of a plan it is that member, as it is
+        at the arrival.
+    end : LegEnd
+        How it ends.
+    time_left : float
+        Time from its end to that of the leg that it is put in front of [s].
+    way_left : float
+        Length of the way there [m].
+    """
+
+    goal: Goal
+    end: LegEnd = LegEnd.REST
+    time_left: float = 0.0
+    way_left: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Legs in the order in which they are followed.
+
+    Attributes
+    ----------
+    legs : tuple of Leg
+        One or more.
+    origin : object
+        The same object for a course whose goals have moved since it was made.
+    """
+
+    legs: tuple[Leg, ...]
+    origin: object = field(default_factory=object, repr=False)
+
+    @classmethod
+    def of(cls, *goals: Goal) -> "Course":
+        """Return a new course that comes to rest at each of the goals, which are frozen."""
+        for goal in goals:
+            goal.pose.flags.writeable = goal.rate.flags.writeable = False
+        return cls(tuple(map(Leg, goals)))
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals of its legs."""
+        return tuple(leg.goal for leg in self.legs)
+
+    def aimed(self, index: int, goal: Goal) -> "Course":
+        """Return the same course with another goal at the end of a leg, as when it has moved."""
+        legs = self.legs
+        leg = replace(legs[index], goal=goal)
+        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin)
+
+    def by_way_of(self, index: int, leg: Leg) -> "Course":
+        """Return the same course with a leg put in front of the one with this index."""
+        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin)
+
+    def is_listed_in(self, other: "Course") -> bool:
+        """Return whether another course has the same goals in the same order."""
+        pairs = zip(self.goals, other.goals, strict=False)
+        return len(self.legs) == len(other.legs) and all(a.equals(b) for a, b in pairs)

@@ -476,10 +476,9 @@ class Controller:
         while not (active.is_last or self._is_refused):
             away = relative_error(state, goal.nearest(state, time), settings)
             if not away < 1.0:
-                if before is None or not before.is_for(active.course, active.index):
+                if before is None or not before.has_passed(active.course, active.index, time):
                     break
-                is_past = before.plan.end <= time and before.plan.status is PlanStatus.SOLVED
-                if not is_past or not relative_error(state, before.at(time)[POSE], settings) < 1.0:
+                if not relative_error(state, before.at(time)[POSE], settings) < 1.0:
                     break
             self._course.advance()
             self._aim()

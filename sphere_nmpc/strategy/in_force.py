@@ -9,11 +9,11 @@ import operator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.course import Course, LegEnd
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, state_error
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,16 @@ class InForce:
         """Return whether it leads to the end of a leg of a course, wherever that is now."""
         made_for = self.situation
         return made_for.course.origin is course.origin and made_for.leg == leg
+
+    def has_passed(self, course: Course, leg: int, time: float) -> bool:
+        """Return whether it predicts that the end of a leg of a course lies behind at `time` [s].
+
+        One that ends on the way there, or outside of the dead band, does not.
+        """
+        plan = self.plan
+        if plan.leg.end is not LegEnd.REST or plan.status is not PlanStatus.SOLVED:
+            return False
+        return plan.end <= time and self.is_for(course, leg)
 
     def on_leg(self, situation: Situation) -> "InForce":
         """Return the plan of the leg that is followed: the next one's where that has begun."""

@@ -7,14 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
+from given_plans import Given, plan_of
 from sampled_loop import SampledLoop
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.active_course import ActiveCourse
-from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.course import Course, Leg, LegEnd
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, Vector, make_state, upright_state
 from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.world.disturbances import DisturbanceSettings
 
 pytestmark = pytest.mark.slow
@@ -150,9 +153,17 @@ def test_sphere_stops_on_its_path_with_the_next_leg_sent() -> None:
     loop.check_limits()
 
 
-def test_list_on_a_floor_keeps_clear() -> None:
-    floor = floor_of(DOORWAY)
-    goals = [pose(5.0, 2.0), pose(4.6, 3.2), pose(1.2, 1.0)]
+@pytest.mark.parametrize(
+    ("walls", "goals"),
+    [
+        (DOORWAY, [pose(5.0, 2.0), pose(4.6, 3.2), pose(1.2, 1.0)]),
+        # Only parts of the way are planned at first: their ends are no goals.
+        ([(2.0, 0.8, 2.2, 4.0), (3.8, 0.0, 4.0, 3.0)], [pose(5.0, 3.0), pose(1.0, 3.2)]),
+    ],
+    ids=["doorway", "around two walls"],
+)
+def test_list_on_a_floor_keeps_clear(walls, goals) -> None:
+    floor = floor_of(walls)
     loop = SampledLoop(pose(1.0, 2.0), floor=floor)
     follow(loop, goals)
     run_to_the_end(loop)
@@ -219,3 +230,22 @@ def test_goals_count_as_reached_within_their_own_tolerance() -> None:
     for goal, at in zip(POSES, began[1:], strict=False):
         place = loop.places[int(np.searchsorted(loop.times, at))]
         assert np.linalg.norm(place - goal[POSITION]) < 0.25
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "index"),
+    [
+        (LegEnd.REST, PlanStatus.SOLVED, 1),
+        (LegEnd.THROUGH, PlanStatus.SOLVED, 0),
+        (LegEnd.REST, PlanStatus.BEST_SO_FAR, 0),
+    ],
+)
+def test_end_of_a_plan_that_is_on_the_way_to_a_goal_is_not_that_goal(end, status, index) -> None:
+    def planned(situation: Situation) -> Plan:
+        leg = Leg(replace(situation.goal, since=situation.time + 0.1), end)
+        return plan_of(situation, [0.1, 0.2], np.zeros((2, 2)), leg=leg, status=status)
+
+    loop = SampledLoop(START, strategy=Given(planned))
+    follow(loop, POSES)
+    loop.run(0.5)  # as planned, past the time at which the plan has ended
+    assert loop.controller.active.index == index

@@ -5,6 +5,7 @@
 ========= ======================================================= ==========
 state     condition                                               next state
 ========= ======================================================= ==========
+Following the leg of the next plan in the chain is followed       Following
 Following a search has found an earlier plan, or another goal's   Following
 Following the plan has not ended                                  Following
 other     the rotors cannot hold the momentum at the goal         Saturated
@@ -14,6 +15,9 @@ Following the plan has ended within `leaving_error`               Holding
 other     a search has found a plan                               Following
 other                                                             Searching
 ========= ======================================================= ==========
+
+While a plan is followed, that of the next leg of the course is searched for from its end on, and
+follows it in the chain.
 """
 
 import math

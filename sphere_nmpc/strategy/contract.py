@@ -143,10 +143,10 @@ class Situation:
         return self.aimed_at(self.aim(goal.orientation.nearest(goal.pose, state)))
 
     def from_zero(self) -> "Situation":
-        """Return the same situation at time 0."""
-        goal = replace(self.goal, since=0.0)
+        """Return the same situation at time 0, with its leg alone."""
+        leg = replace(self.course.legs[self.leg], goal=replace(self.goal, since=0.0))
         return replace(
-            self, time=0.0, course=self.course.aimed(self.leg, goal),
+            self, time=0.0, course=Course((leg,), self.course.origin), leg=0,
             in_force=self.in_force.delayed(-self.time),
         )
 

@@ -76,8 +76,8 @@ def test_a_list_takes_as_long_as_its_single_motions(settings, search_time) -> No
     follow(loop, POSES)
     run_to_the_end(loop)
     assert are_visited(loop, POSES)
-    # 0.99 to 1.03 in some dozen lists; with a rest of a sample period at each goal 1.07 or more.
-    assert loop.settled(POSES[-1]) < 1.05 * single
+    # 0.99 to 1.03 in some dozen lists; with a rest of a sample period at each goal 1.1 or more.
+    assert loop.settled(POSES[-1]) < 1.08 * single
 
 
 def test_command_leads_beyond_a_goal_to_the_next_one() -> None:

@@ -63,7 +63,7 @@ class SearchTask:
     tuning : TimeOptimalSettings
         Tuning of the search.
     situation : Situation
-        Situation in which the plan begins.
+        Situation in which the plan begins, at time 0 and with its leg alone: a course may be long.
     seed : int
         Seed of the initial guesses, and number of the motion that is found.
     effort : int
@@ -73,8 +73,8 @@ class SearchTask:
     from_rest : bool
         Whether the sphere rests until the plan begins, which may then be at any time.
     known : FirstOrderHold or None
-        Rest of the plan that is being followed to the same goal: an earlier arrival is searched
-        for. None for a new plan.
+        Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
+        arrival is searched for. None for a new plan.
     failed : int
         Searches before it that have found nothing; a goal on the way around obstacles is then
         nearer.
@@ -108,12 +108,12 @@ class SearchTask:
         It is another one than that which is known. Without one it is why there is none wherever
         one searches; empty where that is not so.
         """
-        end, situation = time.perf_counter() + self.longest, self.situation.from_zero()
+        end, situation = time.perf_counter() + self.longest, self.situation
         guide = Guide(situation, self.solver, self.rested)
         if self.known is None:
             found = self._new(situation, guide, end)
         else:
-            found = self._earlier(situation, guide, self.known.delayed(-self.situation.time), end)
+            found = self._earlier(situation, guide, self.known, end)
         if not isinstance(found, Plan):
             return found or ""
         return replace(found, made=replace(found.made, motion=self.seed))
@@ -194,7 +194,8 @@ class BackgroundSearch:
         """Forget all searches, and what the drives attain."""
         self.solver = self._solver_with(1.0)
         """Solver with the acceleration that the drives attain, for new plans."""
-        self._task: SearchTask | None = None
+        self._task: tuple[SearchTask, Situation] | None = None
+        """The search under way, and the situation at the control time at which its plan begins."""
         self._seeds = itertools.count(1)
         self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
@@ -263,8 +264,10 @@ class BackgroundSearch:
     @property
     def is_awaited(self) -> bool:
         """Whether a search is under way for another plan than one that arrives earlier."""
-        task = self._task
-        return task is not None and task.known is None and not task.is_next
+        if self._task is None:
+            return False
+        task, _ = self._task
+        return task.known is None and not task.is_next
 
     def begins(self, now: float) -> float:
         """Return the control time at which the plan of a search that begins now starts [s]."""
@@ -308,23 +311,23 @@ class BackgroundSearch:
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         task = SearchTask(
-            solver.robot, tuning, start, next(self._seeds),
-            round(growth * self._settings.planning_effort), longest, from_rest, known,
-            failed if is_new else 0, rested, is_next,
+            solver.robot, tuning, start.from_zero(), next(self._seeds),
+            round(growth * self._settings.planning_effort), longest, from_rest,
+            None if known is None else known.delayed(-start.time), failed if is_new else 0, rested,
+            is_next,
         )
         self._reply = worker.submit(task)
-        self._task = None if self._reply.error else task
+        self._task = None if self._reply.error else (task, start)
 
     def is_due(self, now: float) -> bool:
         """Return whether `take` returns what a search has found at `now` [s]."""
-        task = self._task
-        if task is None:
+        if self._task is None:
             return False
+        task, start = self._task
         self._worker.poll()
         if self._reply.error:
             self._task = None
-        begins = task.from_rest or now >= task.situation.time - SHORTEST
-        return self._reply.ready and begins
+        return self._reply.ready and (task.from_rest or now >= start.time - SHORTEST)
 
     def take(self, now: float) -> tuple[InForce, bool] | None:
         """Return the plan of a search that is complete, and whether it is for the next leg.
@@ -335,8 +338,8 @@ class BackgroundSearch:
         self._has_failed = False
         if not self.is_due(now) or self._task is None:
             return None
-        task, self._task = self._task, None
-        late = now - task.situation.time
+        (task, start), self._task = self._task, None
+        late = now - start.time
         allowed = max(self._settings.control_period, _LEAST_TICK) + SHORTEST
         if not task.from_rest and late > allowed:
             self._ahead = min(_GROWTH * self._ahead, 2.0 * self._tuning.longest_search)
@@ -347,12 +350,12 @@ class BackgroundSearch:
                 self.failed_ahead = 0
             else:
                 self.no_way, self._no_way_on = "", None
-            plan = found.delayed(now if task.from_rest else task.situation.time)
-            return InForce(plan, task.situation, task.robot, task.rested), task.is_next
+            plan = found.delayed(now if task.from_rest else start.time)
+            return InForce(plan, start, task.robot, task.rested), task.is_next
         if task.is_next:
             self.failed_ahead += 1
             return None
-        self.no_way, self._no_way_on = found or "", task.situation.floor
+        self.no_way, self._no_way_on = found or "", start.floor
         self._has_failed = not found
         self.failed += self._has_failed
         return None

@@ -244,12 +244,12 @@ class Machine:
 
     def _search(self, situation: Situation, at_rest: bool, deadline: float) -> None:
         """Begin a search where there is no plan."""
-        start, ahead = situation, self.search.ahead
-        if not at_rest and ahead:
-            ramp = stop(situation, self._robot, "").hold
-            start = later(situation, ramp, situation.time + ahead, self.search.solver.grid.fine)
-        solver, place = self.search.solver_from(situation), situation.state[POSITION]
-        self.search.begin(start, solver, deadline, place, from_rest=at_rest)
+        search, start = self.search, situation
+        if not at_rest:
+            ramp, begins = stop(situation, self._robot, "").hold, situation.time + search.ahead
+            start = later(situation, ramp, begins, search.solver.grid.fine)
+        solver, place = search.solver_from(situation), situation.state[POSITION]
+        search.begin(start, solver, deadline, place, from_rest=at_rest)
 
     def _improved(
         self, followed: InForce, situation: Situation, dead_band: float, deadline: float,

@@ -76,6 +76,7 @@ def test_situation_that_is_aimed_elsewhere_keeps_origin_and_end_of_its_leg() -> 
 def test_situation_at_time_0_is_the_same(rate: np.ndarray) -> None:
     now = situation(Goal(SECOND, rate=rate, since=3.0))
     moved = now.from_zero()
+    assert (moved.leg, len(moved.course.legs)) == (0, 1), "it is handed to another process"
     assert moved.time == moved.in_force.start == 0.0
     assert moved.course.origin is now.course.origin
     np.testing.assert_array_equal(moved.in_force.speeds, now.in_force.speeds)

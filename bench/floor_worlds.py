@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from node_runs import machine, write_json
-from worlds import KINDS, SIDE, draw_task, draw_world, integrated
+from worlds import KINDS, SIDE, SPEED, draw_task, draw_world, integrated, longest_run
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
@@ -32,8 +32,6 @@ from sphere_sim.study.single_run import prepare
 from sphere_sim.world.walls import walls_of
 
 _ROBOT = RobotParameters()
-_SPEED = 0.742
-"""Greatest speed of steady rolling [m/s]."""
 _STEP = 1e-3
 """Time between two looks of the judge [s]."""
 
@@ -49,7 +47,7 @@ def run(kind: str, seed: int, gap: float | None, options: dict[str, Any]) -> dic
         settings["simulator.position_noise"] = options["noise"]
         settings["simulator.orientation_noise"] = 2.0 * options["noise"]
     conditions = StudyConditions(
-        duration=10.0 + 3.0 * length / _SPEED, perturbation=options["perturb"]
+        duration=longest_run(length), perturbation=options["perturb"]
     ).with_settings([(name, str(value)) for name, value in settings.items()])
     simulator, controller = prepare(conditions, Scenario(start, goal, seed))
     simulator.plant.surround(walls_of(floor.grid))
@@ -76,7 +74,7 @@ def run(kind: str, seed: int, gap: float | None, options: dict[str, Any]) -> dic
     _keep_path(options["paths"], f"{kind}_{seed}", found, goal, world.walls, world.discs)
     return {
         "kind": kind, "seed": seed, "gap": world.gap, "length": length, "settled": settled,
-        "beyond": None if settled is None else settled - length / _SPEED,
+        "beyond": None if settled is None else settled - length / SPEED,
         "least_clearance": least, "contacts": max(simulator.touches, int(least < 0.0)),
         "apart": apart, "failures": controller.failures, "plans": controller.plans,
         "first_plan": first[0] if first else None,

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from node_runs import machine, write_json
-from worlds import draw_poses, draw_world
+from worlds import draw_poses, draw_world, longest_run
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.library_threads import limit_library_threads
@@ -46,8 +46,6 @@ _GOALS = 6
 """Goals of a list."""
 _CLEARANCE = 0.03
 """Clearance to be kept from obstacles [m]."""
-_SPEED = 0.742
-"""Greatest speed of steady rolling [m/s]."""
 _STEP = 1e-3
 """Time between two looks at the sphere [s], which may pass through a goal at full speed."""
 
@@ -117,7 +115,7 @@ def measured(kind: str, seed: int, number: int) -> dict[str, Any]:
     poses, floor = draw(kind, rng)
     of_run = int(rng.integers(2**31))
     pairs = [poses[k : k + 2] for k in range(_GOALS)]
-    longest = [10.0 + 3.0 * position_error(*pair) / _SPEED for pair in pairs]
+    longest = [longest_run(position_error(*pair)) for pair in pairs]
     singles = [
         run(kind, pair, floor, of_run, most) for pair, most in zip(pairs, longest, strict=True)
     ]

@@ -20,6 +20,8 @@ from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector
 
 KINDS = ("discs", "rooms", "doors", "maze", "trap", "corridor")
+SPEED = 0.742
+"""Greatest speed of steady rolling [m/s]."""
 SIDE = 10.0
 """Side of a world [m]."""
 _CELL = 0.05
@@ -193,6 +195,11 @@ def draw_poses(
         if way_length(floor, poses[-1][POSITION], place) is not None:
             poses.append(np.concatenate((place, random_quaternion(rng))))
     return poses
+
+
+def longest_run(length: float) -> float:
+    """Return the time that a run over a way [m] lasts [s], which is ample."""
+    return 10.0 + 3.0 * length / SPEED
 
 
 def way_length(floor: Floor, start: Vector, goal: Vector) -> float | None:

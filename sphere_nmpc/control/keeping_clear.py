@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -28,7 +28,7 @@ def stop_if_refused(situation: Situation, robot: RobotParameters) -> Plan | None
         return None
     lasting = refusal(situation, situation.floor.lasting)
     kind = Kind.GIVEN_UP if lasting is None else lasting[0]
-    return stop(situation, robot, "no way to the goal", Condition(kind, refused[1]))
+    return stop(situation, robot, "no way to the goal").giving_up(refused[1], kind)
 
 
 def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strategy: str) -> Plan:

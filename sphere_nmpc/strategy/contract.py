@@ -52,9 +52,9 @@ _FIELDS: dict[type, dict[str, Any]] = {
     Condition: {"kind": Kind, "text": str, "subject": str},
     Made: dict.fromkeys(("cost", "kkt_residual", "solve_time"), Real)
     | dict.fromkeys(("turns", "work", "iterations", "motion"), Integral),
+    FirstOrderHold: {},  # it has checked them itself
 }
 """Types of the fields of a plan and its parts, of other packages as well."""
-_RECORDS, _NONE = (FirstOrderHold, Leg, Goal, Made), dict[str, Any]()
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,11 +317,11 @@ def _check_types(plan: Plan) -> None:
         # Classes derived from these could have other methods.
         if type(given) is not kind:
             raise TypeError(f"plan: given {type(given).__name__}, expected {kind.__name__}")
-        for name, expected in _FIELDS.get(kind, _NONE).items():
+        for name, expected in _FIELDS[kind].items():
             value = getattr(given, name)
             if not isinstance(value, expected):
                 raise TypeError(f"plan: given the {name} {shown(value)}, expected another type")
-            if expected in _RECORDS:
+            if expected in _FIELDS:
                 parts.append((value, expected))
             elif expected is tuple:
                 parts += [(one, Condition) for one in value]

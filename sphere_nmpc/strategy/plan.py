@@ -169,12 +169,14 @@ class Plan:
             return None
         return limitation.kind
 
-    def giving_up(self, reason: str) -> "Plan":
-        """Return the plan with what it gives up of the goal and why; itself if that is empty."""
+    def giving_up(self, reason: str, kind: Kind = Kind.GIVEN_UP) -> "Plan":
+        """Return the plan with what it gives up of the goal and why; itself if that is empty.
+
+        The `kind` is another one where the goal is unreachable whatever moves on the floor.
+        """
         if not reason:
             return self
-        told = *self.conditions, Condition(Kind.GIVEN_UP, reason)
-        return replace(self, conditions=told)
+        return replace(self, conditions=(*self.conditions, Condition(kind, reason)))
 
     def at(self, time: float, constants: LumpedConstants, disturbance: Disturbance) -> Vector:
         """Return the state predicted for a time [s], shape (9,)."""

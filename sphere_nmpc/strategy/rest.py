@@ -44,12 +44,9 @@ def hold_momentum(
 
 def come_to_rest(
     situation: Situation, robot: RobotParameters, message: str,
-    status: PlanStatus = PlanStatus.HOLDING, *limitations: Condition,
+    status: PlanStatus = PlanStatus.HOLDING,
 ) -> Plan:
-    """Return a plan that brings the rotors to the speeds of rest and holds the momentum.
-
-    `limitations` is what it gives up of the goal.
-    """
+    """Return a plan that brings the rotors to the speeds of rest and holds the momentum."""
     momentum, quaternion = situation.momentum, situation.state[QUATERNION]
     limit = robot.max_rotor_speed
     target = speeds_of_rest(momentum, quaternion, limit)
@@ -60,24 +57,19 @@ def come_to_rest(
     hold = hold.followed_by(
         hold_momentum(hold, momentum, situation.disturbance, quaternion, limit)
     )
-    return _plan(situation, hold, message, status, *limitations)
+    return _plan(situation, hold, message, status)
 
 
-def stop(
-    situation: Situation, robot: RobotParameters, message: str, *limitations: Condition
-) -> Plan:
+def stop(situation: Situation, robot: RobotParameters, message: str) -> Plan:
     """Return a plan to rest on the path in force, which what is on the floor is clear of."""
     status = PlanStatus.RAMP_TO_REST
     if not (situation.speeds.any() and situation.has_small_momentum):
-        return come_to_rest(situation, robot, message, status, *limitations)
+        return come_to_rest(situation, robot, message, status)
     limit = min(robot.max_rotor_acceleration, situation.plant.acceleration)
     hold = situation.in_force.stop(situation.time, limit)
-    return _plan(situation, hold, message, status, *limitations)
+    return _plan(situation, hold, message, status)
 
 
-def _plan(
-    situation: Situation, hold: FirstOrderHold, message: str, status: PlanStatus,
-    *limitations: Condition,
-) -> Plan:
-    told = Condition(Kind.PLANNED, message), *limitations
+def _plan(situation: Situation, hold: FirstOrderHold, message: str, status: PlanStatus) -> Plan:
+    told = (Condition(Kind.PLANNED, message),)
     return Plan(status, hold, situation.state[None, :], conditions=told)

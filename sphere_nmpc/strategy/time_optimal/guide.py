@@ -132,7 +132,8 @@ class Guide:
         `failed` searches before have found nothing: after each the local goal is nearer.
         """
         situation, place, goal = self._situation, self._place, self._goal
-        floor, steady, near = situation.floor, situation.has_small_momentum, self._near
+        floor, steady = situation.floor, situation.has_small_momentum
+        near = self._solver.near_distance
         leg, distance = _LONGEST_LEG if steady else near, float(np.linalg.norm(goal - place))
         sees_goal = failed % 2 == 0 and floor.least_distance(place) > 0.0 and bool(
             in_sight(floor, place, goal[None, :], needed_distance(situation, Margin.FOUND))[0]
@@ -160,10 +161,6 @@ class Guide:
         if self.route.length(place) <= near:
             aims.insert(0, Aim(situation, self.detour(), share=0.5))
         return Guidance(aims)
-
-    @property
-    def _near(self) -> float:
-        return self._solver.near_distance
 
     def _aim_at(self, place: Vector, detour: float = 0.0) -> Aim:
         situation = self._situation

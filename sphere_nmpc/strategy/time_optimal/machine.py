@@ -266,7 +266,8 @@ class Machine:
             self._begin_next(followed, situation, deadline)
             self._found(situation, dead_band, deadline)
             return followed
-        anew = not suits or plan.leg.end is LegEnd.THROUGH
+        is_passed = plan.leg.end is LegEnd.THROUGH
+        anew = is_passed or not suits
         if not anew and (now <= search.next_at or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None
@@ -276,7 +277,6 @@ class Machine:
             start, known = start.aimed_at(start.aim(pose)), left_of(plan, start.time, solver.grid)
         rested = followed.rested if suits else None
         search.improved_at = now
-        is_passed = plan.leg.end is LegEnd.THROUGH
         search.begin(start, solver, deadline, rested, known=known, is_new=is_passed)
         if search.ahead:
             return followed

@@ -18,7 +18,7 @@ import time
 from dataclasses import replace
 from functools import partial
 
-from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import SATURATED, AtRest
@@ -68,8 +68,7 @@ class TimeOptimalStrategy:
     def search_beside(self, worker: Worker) -> None:
         """Search by a worker from now on, and follow the plan meanwhile.
 
-        A changed goal is then found by comparison, and needs no `reset`: the plan in force is
-        followed until there is one to the new goal.
+        The plan in force is followed until there is one to a new goal.
         """
         self._machine.search.work_by(worker)
 
@@ -137,14 +136,12 @@ class TimeOptimalStrategy:
             rest = held_at_its_end((after or state).plan, situation, robot.max_rotor_speed)
             return rest if after is None else own.spliced(rest.hold, rest.states)
         if isinstance(state, Saturated):
-            return come_to_rest(
-                situation, robot, "saturated", PlanStatus.SATURATED,
-                Condition(Kind.GIVEN_UP, SATURATED),
-            )
+            plan = come_to_rest(situation, robot, "saturated", PlanStatus.SATURATED)
+            return plan.giving_up(SATURATED)
         if search.no_way:
             lasts = situation.floor.lasting is situation.floor
             kind = Kind.NO_WAY if lasts else Kind.GIVEN_UP
-            return stop(situation, robot, "no way to the goal", Condition(kind, search.no_way))
+            return stop(situation, robot, "no way to the goal").giving_up(search.no_way, kind)
         plan = stop(situation, robot, "no arrival found yet")
         given_up = stop_before_contact(situation, plan.hold)
         if not given_up and search.failed >= _MANY:

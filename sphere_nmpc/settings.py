@@ -142,6 +142,15 @@ class ControllerSettings:
         "where position_tolerance is 0, too",
         minimum=0.0, maximum=3.2, live=True,
     )
+    path_speed: float = quantity(
+        0.0, "m/s",
+        "Speed along a path, where path and rotors allow it; 0 is as fast as they allow",
+        minimum=0.0, maximum=100.0, live=True,
+    )
+    path_tolerance: float = quantity(
+        0.02, "m", "Largest distance of the centre from a path: corners are cut by less",
+        minimum=1e-4, maximum=10.0, live=True,
+    )
     units: RobotUnits = TABLE_1_UNITS
 
     def __post_init__(self) -> None:

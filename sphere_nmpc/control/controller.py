@@ -30,6 +30,7 @@ from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import STANDING, Goal
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path import Tracking
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
@@ -170,6 +171,10 @@ class Controller:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
         active = self._course.at(time)
         return 0.0 if active is None else float(np.linalg.norm(active.goal.rate[POSITION]))
+
+    def tracking(self) -> Tracking | None:
+        """Return how the path is followed, by the newest pose; None where none is."""
+        return None
 
     def remaining(self, time_left: float, way_left: float) -> tuple[float, float]:
         """Return time [s] and way [m] to the last of the goals; nan without goal or pose.

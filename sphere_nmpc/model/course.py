@@ -13,7 +13,6 @@ import numpy as np
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path
 
-
 _ANY = (1.0, 0.0, 0.0, 0.0)
 """Orientation of a goal that demands none."""
 

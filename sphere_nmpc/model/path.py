@@ -31,6 +31,31 @@ _MOST_PLACES = 500_000
 """Places of a curve at most: 2.5 km for Table 1."""
 
 
+@dataclass(frozen=True)
+class Tracking:
+    """How a path is followed at an instant.
+
+    Attributes
+    ----------
+    way : float
+        Length of the path up to the place that is nearest [m].
+    way_left : float
+        Length from there on [m].
+    deviation : float
+        Distance of the centre from it [m], positive to its left.
+    heading_error : float
+        Direction of the velocity from that of the path [rad]; 0 at rest.
+    speed : float
+        Speed of the centre [m/s].
+    """
+
+    way: float
+    way_left: float
+    deviation: float
+    heading_error: float
+    speed: float
+
+
 @dataclass(frozen=True, eq=False)
 class Path:
     """Curve of the centre.
@@ -99,7 +124,7 @@ class Path:
     def nearest(self, place: Vector, first: float, last: float) -> float:
         """Return the length [m], of those from `first` to `last`, at which it is nearest."""
         low = min(max(int(first / self.spacing), 0), len(self.curve) - 2)
-        high = max(low + 2, int(math.ceil(last / self.spacing)) + 1)
+        high = max(low + 2, math.ceil(last / self.spacing) + 1)
         nodes = self.places[low:high]
         sides = np.diff(nodes, axis=0)
         shares = np.sum((place - nodes[:-1]) * sides, axis=1) / np.sum(sides * sides, axis=1)
@@ -146,7 +171,8 @@ def _curve_of(nodes: Vector, spacing: float, tolerance: float) -> tuple[Vector, 
     for k in range(1, len(nodes) - 1):
         bend = 0.5 * float(np.linalg.norm(ahead[k] - ahead[k - 1]))
         # The middle of the parabola is half of the reach times the sine of half the turn away.
-        reach = min(0.5 * lengths[k - 1], 0.5 * lengths[k], 2.0 * _CUT * tolerance / max(bend, 1e-9))
+        cut = 2.0 * _CUT * tolerance / max(bend, 1e-9)
+        reach = min(0.5 * lengths[k - 1], 0.5 * lengths[k], cut)
         along = np.linspace(0.0, 1.0, max(3, math.ceil(4.0 * reach / spacing)))[:, None]
         begin, end = nodes[k] - reach * ahead[k - 1], nodes[k] + reach * ahead[k]
         pieces.append(

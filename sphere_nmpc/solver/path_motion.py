@@ -26,7 +26,7 @@ from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.solver.native.library import library
 
-_STEP, _SHORTEST, _CHANGE, _ENDED = 0.01, 1.5e-4, 0.17, 3e-3
+_STEP, _SHORTEST, _CHANGE, _ENDED = 0.02, 1.5e-4, 0.17, 3e-3
 """Longest and shortest step of the nominal motion [Rs], change of the rotors' speeds [over c1] by
 one, distance from the end of the path at which it ends [Rs]."""
 _ANGLE = 1e-4
@@ -66,8 +66,8 @@ class PathProblem:
     state : ndarray, shape (6,) or more
         Pose at the start.
     speeds : ndarray, shape (2,)
-        Speeds of the rotors at the start [rad/s]. What the motion does not begin with is lost with
-        half of the acceleration.
+        Speeds of the rotors at the start [rad/s]. What the motion does not begin with is lost by
+        half of the acceleration, as far as the limits leave it.
     constants : ndarray, shape (4,)
         Lumped constants [Rs, c1, r1, r3].
     limits : PathLimits
@@ -99,12 +99,15 @@ class PathMotion(NamedTuple):
         Lengths of the path at the knots [m].
     crossings : ndarray, shape (K,)
         How often Gamma has been crossed up to the knots.
+    jump : float
+        By how much the speeds at the start differ from those of the fastest motion [rad/s].
     """
 
     times: Vector
     speeds: Vector
     ways: Vector
     crossings: Vector
+    jump: float
 
 
 def along_path(problem: PathProblem) -> PathMotion:
@@ -114,7 +117,7 @@ def along_path(problem: PathProblem) -> PathMotion:
         return _plain(problem)
     if not hasattr(_WORKSPACES, "steps"):
         _WORKSPACES.steps = np.empty((_CAPACITY, _FIELDS))
-        _WORKSPACES.knots = np.empty((_CAPACITY, 5))
+        _WORKSPACES.knots = np.empty((_CAPACITY, 6))
     knots: Vector = _WORKSPACES.knots
     # Named, so that they live until the call has ended.
     arrays = (
@@ -130,7 +133,8 @@ def along_path(problem: PathProblem) -> PathMotion:
 
 
 def _motion(knots: Vector) -> PathMotion:
-    return PathMotion(*(knots[:, part].copy() for part in (0, slice(1, 3), 3, 4)))
+    columns = (knots[:, part].copy() for part in (0, slice(1, 3), 3, 4))
+    return PathMotion(*columns, float(knots[0, 5]))
 
 
 def _plain(problem: PathProblem) -> PathMotion:
@@ -141,6 +145,9 @@ def _plain(problem: PathProblem) -> PathMotion:
     jump = problem.speeds - rates[0] * speeds[0]
     lost = max(2.0 * float(np.max(np.abs(jump))) / problem.limits.acceleration, 1e-9)
     speeds = rates[:, None] * speeds + np.maximum(0.0, 1.0 - times / lost)[:, None] * jump
+    speeds = np.clip(speeds, -problem.limits.speed, problem.limits.speed)
+    for k, reach in enumerate(problem.limits.acceleration * np.diff(times)):
+        speeds[k + 1] = np.clip(speeds[k + 1], speeds[k] - reach, speeds[k] + reach)
     kept = [0]
     for k in range(1, len(times)):
         part = slice(kept[-1], k + 2)
@@ -149,7 +156,8 @@ def _plain(problem: PathProblem) -> PathMotion:
         turned = float(np.max(np.abs(off))) * problem.constants[1] * np.ptp(times[part])
         if k == len(times) - 1 or turned > _ANGLE:
             kept.append(k)
-    return _motion(np.column_stack((times, speeds, ways, crossings))[kept])
+    jumps = np.full(len(times), np.max(np.abs(jump)))
+    return _motion(np.column_stack((times, speeds, ways, crossings, jumps))[kept])
 
 
 def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
@@ -163,6 +171,7 @@ def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
         return _law(pose, path.at(way), np.array(given), problem.constants)
 
     chosen, step, tau = 0, _STEP, 0.0
+    bend: Vector = np.zeros(2)
     here = law(way, pose)
     rows = [(tau, way, chosen)]
     laws = [here]
@@ -172,14 +181,15 @@ def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
             break
         step = min(2.0 * step, _STEP)
         while True:
-            there = min(way + radius * step * here[2], path.length)
-            following = law(there, _moved(pose, here, here, step, problem.constants))
-            there = min(way + 0.5 * radius * step * (here[2] + following[2]), path.length)
-            following = law(there, _moved(pose, here, following, step, problem.constants))
+            # Where the speeds go on to change as they did, or else not at all.
+            predicted = _moved(pose, here, here[:2] + step * bend, step, problem.constants)
+            ahead = min(way + radius * step * here[2], path.length)
+            following = law(ahead, predicted)
             if not np.max(np.abs(following[:2] - here[:2])) > change or step < _SHORTEST:
                 break
-            step *= 0.5
-        pose, way, tau = _moved(pose, here, following, step, problem.constants), there, tau + step
+            step, bend = 0.5 * step, np.zeros(2)
+        pose, tau = _moved(pose, here, following, step, problem.constants), tau + step
+        bend, way = (following[:2] - here[:2]) / step, ahead
         chosen += int(here[4] * following[4] < 0.0)
         here = following
         rows.append((tau, way, chosen))

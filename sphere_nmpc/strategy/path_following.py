@@ -15,6 +15,7 @@ axis, is met by the next plan.
 
 import math
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -46,6 +47,8 @@ _LARGEST_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
 _LEAST_GAIN = 0.02
 """Time by which another choice has to be faster [1 / (c1 u_max)]."""
+_LARGEST_JUMP = 0.01
+"""Difference of the speeds in force from those that a choice begins with, over the limit."""
 _ARRIVED = 4e-3
 """Distance from the end of a path [Rs] at which it has been followed, or `_DEVIATIONS` of the
 estimate's standard deviation."""
@@ -86,7 +89,8 @@ class PathFollowing:
 
     def leads(self, situation: Situation) -> bool:
         """Return whether the leg follows a path whose end has not been reached yet."""
-        path, aimed = _path_of(situation), (situation.course.origin, situation.leg)
+        path = situation.course.legs[situation.leg].follows
+        aimed = situation.course.origin, situation.leg
         if path is None:
             return False
         if aimed != self._leg:
@@ -109,8 +113,7 @@ class PathFollowing:
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan along the path of the leg."""
-        path = _path_of(situation)
-        assert path is not None
+        path = cast(Path, situation.course.legs[situation.leg].follows)
         plan = self._along(path, situation)
         self._end = plan.end if plan.leg.end is LegEnd.REST else math.inf
         until = min(situation.time + self._settings.period, self._end)
@@ -128,6 +131,7 @@ class PathFollowing:
             return float(motion.times[-1] + (problem.last - motion.ways[-1]) / pace)
 
         least = (problem.last - self.way) / pace
+        allowed = _LARGEST_JUMP * self._robot.max_rotor_speed
         for _ in range(max(1, round(_TRIES * period / self._settings.period))):
             if cost(best) < least + 2.0 * _LEAST_GAIN * units.time:
                 break
@@ -135,6 +139,8 @@ class PathFollowing:
             begin = int(self._draw.integers(_CHOICES))
             turns[begin:] = self._draw.uniform(-_LARGEST_CHOICE, _LARGEST_CHOICE, _CHOICES - begin)
             motion = along_path(replace(problem, turns=turns))
+            if motion.jump > max(best.jump, allowed):
+                continue  # it would have to begin slower, and leads by the end of the path
             if cost(motion) < cost(best) - _LEAST_GAIN * units.time:
                 best, self._turns = motion, turns
         plan = self._plan(path, situation, best)
@@ -191,9 +197,7 @@ class PathFollowing:
                 for time, quaternion in zip(motion.times, still[:, QUATERNION], strict=True)
             ]
         speeds[0] = situation.speeds
-        hold = FirstOrderHold(now + motion.times, speeds).limited(
-            robot.max_rotor_speed, robot.max_rotor_acceleration
-        )
+        hold = FirstOrderHold(now + motion.times, speeds)
         states = roll_out(
             situation.state, hold.speeds, hold.durations, constants, disturbance=disturbance
         )
@@ -236,8 +240,3 @@ class PathFollowing:
                 return plan.giving_up(reason) if free.size else plan
         self._motion = None
         return stop(situation, self._robot, "the path is blocked").giving_up(reason)
-
-
-def _path_of(situation: Situation) -> Path | None:
-    """Return the path of the leg that is followed."""
-    return situation.course.legs[situation.leg].follows

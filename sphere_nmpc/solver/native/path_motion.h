@@ -3,7 +3,7 @@
  *
  * Motion along a path, as in solver/path_motion.py, which explains it.
  */
-#define PATH_STEP 0.01 /* longest step of the nominal motion [Rs] */
+#define PATH_STEP 0.02 /* longest step of the nominal motion [Rs] */
 #define PATH_SHORTEST 1.5e-4 /* shortest one */
 #define PATH_CHANGE 0.17 /* change of a rotor's speed by a step [rad a Rs, over c1] */
 #define PATH_ANGLE 1e-4 /* by which the shell may turn less or more between two knots [rad] */
@@ -47,7 +47,7 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
 {
     const double length = c->spacing * (double)(c->rows - 1), radius = c->constants[0];
     const double *end = c->curve + 4 * (c->rows - 1), change = PATH_CHANGE / c->constants[1];
-    double pose[6], law[5], next[5], step = PATH_STEP, turn = turns[0];
+    double pose[6], law[5], next[5], bend[2] = {0.0, 0.0}, step = PATH_STEP, turn = turns[0];
     int64_t count = 0, chosen = 0;
     memcpy(pose, start, sizeof pose);
     law_at(c, way, pose, turn, law);
@@ -64,28 +64,29 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
             break;
         if (way >= length && hypot(end[0] - pose[0], end[1] - pose[1]) < PATH_ENDED * radius)
             break;
-        double moved[6], there, largest;
-        const double side = law[4];
+        double moved[6], ahead;
         step = fmin(2.0 * step, PATH_STEP);
         for (;; step *= 0.5) {
-            there = fmin(way + radius * step * law[2], length);
-            path_pose(c, pose, law, law, step, moved);
-            law_at(c, there, moved, turn, next);
-            there = fmin(way + 0.5 * radius * step * (law[2] + next[2]), length);
-            path_pose(c, pose, law, next, step, moved);
-            law_at(c, there, moved, turn, next);
-            largest = fmax(fabs(next[0] - law[0]), fabs(next[1] - law[1]));
+            /* Where the speeds go on to change as they did, or else not at all. */
+            const double there[2] = {law[0] + step * bend[0], law[1] + step * bend[1]};
+            path_pose(c, pose, law, there, step, moved);
+            ahead = fmin(way + radius * step * law[2], length);
+            law_at(c, ahead, moved, turn, next);
+            const double largest = fmax(fabs(next[0] - law[0]), fabs(next[1] - law[1]));
             if (!(largest > change) || step < PATH_SHORTEST)
                 break;
+            bend[0] = bend[1] = 0.0;
         }
         path_pose(c, pose, law, next, step, moved);
-        memcpy(pose, moved, sizeof pose);
-        memcpy(law, next, sizeof law);
-        way = there;
-        if (side * law[4] < 0.0) {
+        for (int k = 0; k < 2; k++)
+            bend[k] = (next[k] - law[k]) / step;
+        way = ahead;
+        if (law[4] * next[4] < 0.0) {
             chosen++;
             turn = turns[chosen < choices ? chosen : choices - 1];
         }
+        memcpy(pose, moved, sizeof pose);
+        memcpy(law, next, sizeof law);
     }
     return count;
 }
@@ -172,7 +173,7 @@ static int is_straight(const path_step *first, const path_step *last, double gai
     return 1;
 }
 
-/* Write the knots [time, u_1, u_2, way, crossings] of the fastest motion along a path; returns
+/* Write the knots [time, u_1, u_2, way, crossings, jump] of the fastest motion along a path; returns
  * their number. `limits` are [speed, acceleration, speed of the centre or 0]. */
 int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double way, double last,
                         const double *curve, const double *constants, const double *limits,
@@ -191,20 +192,29 @@ int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double w
         jump[i] = speeds[i] - sqrt(steps[0].squared_rate) * first[i];
         largest = fmax(largest, fabs(jump[i]));
     }
-    /* What the speeds in force differ by is lost with half of the acceleration. */
+    /* What the speeds in force differ by is lost by half of the acceleration, as far as the limits
+     * leave it. */
     const double lost = fmax(2.0 * largest / limits[1], 1e-9);
     for (path_step *here = steps; here < steps + count; here++) {
         const double left = fmax(0.0, 1.0 - here->at / lost);
-        for (int i = 0; i < 2; i++)
-            here->sent[i] = sqrt(here->squared_rate) * here->speeds[i] + left * jump[i];
+        for (int i = 0; i < 2; i++) {
+            const double sent = sqrt(here->squared_rate) * here->speeds[i] + left * jump[i];
+            here->sent[i] = clip(sent, -limits[0], limits[0]);
+            if (here > steps) {
+                const double before = here[-1].sent[i];
+                const double reach = limits[1] * (here->at - here[-1].at);
+                here->sent[i] = clip(here->sent[i], before - reach, before + reach);
+            }
+        }
     }
     int64_t found = 0;
     for (int64_t k = 0, before = 0; k < count; k++) {
         const path_step *here = steps + k;
         if (k && k < count - 1 && is_straight(steps + before, here + 1, constants[1]))
             continue;
-        const double row[5] = {here->at, here->sent[0], here->sent[1], here->way, here->crossings};
-        memcpy(knots + 5 * found++, row, sizeof row);
+        const double row[6]
+            = {here->at, here->sent[0], here->sent[1], here->way, here->crossings, largest};
+        memcpy(knots + 6 * found++, row, sizeof row);
         before = k;
     }
     return found;

@@ -35,8 +35,8 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum, stop
 
-_HORIZON = 7.0
-"""Time that is planned ahead at least, at the pace of the path [1 / (c1 u_max)]."""
+_HORIZON = 4.0
+"""Time that is planned ahead, at the pace of the path [s; for the robot of Table 1]."""
 _WINDOW = 3.0
 """Length of the path ahead on which the sphere is looked for [Rs]."""
 _TRIES = 8
@@ -45,8 +45,8 @@ _CHOICES = 4
 """Crossings of Gamma that a choice is for."""
 _LARGEST_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
-_LEAST_GAIN = 0.02
-"""Time by which another choice has to be faster [1 / (c1 u_max)]."""
+_LEAST_GAIN = 0.01
+"""Time by which another choice has to be faster [s; for the robot of Table 1]."""
 _LARGEST_JUMP = 0.01
 """Difference of the speeds in force from those that a choice begins with, over the limit."""
 _ARRIVED = 4e-3

@@ -21,10 +21,11 @@ typedef struct {
 
 static void law_at(const path_course *c, double way, const double *pose, double turn, double *law)
 {
+    const double length = c->spacing * (double)(c->rows - 1);
     const double share = clip(way / c->spacing, 0.0, (double)(c->rows - 1));
     const int64_t index = share < (double)(c->rows - 2) ? (int64_t)share : c->rows - 2;
     const double rest = share - (double)index, *row = c->curve + 4 * index;
-    const double demand[3] = {turn, share < (double)(c->rows - 1), c->tolerance};
+    const double demand[3] = {turn, way < length, c->tolerance};
     double point[4];
     for (int k = 0; k < 4; k++)
         point[k] = (1.0 - rest) * row[k] + rest * row[4 + k];

@@ -95,6 +95,17 @@ class ControllerSettings:
         "Effort of the search for an early arrival: solver iterations times intervals, 1 us each",
         minimum=1000, maximum=100_000_000, live=True,
     )
+    time_margin: float = quantity(
+        0.0, "-",
+        "Share of the least time by which time_optimal may arrive later, to spare the motors",
+        minimum=0.0, maximum=1.0, live=True,
+    )
+    arrive_at: float = quantity(
+        0.0, "s",
+        "Time that it is to take from when a goal has come in, or the leg has begun; 0 is what "
+        "time_margin says",
+        minimum=0.0, maximum=3600.0, live=True,
+    )
     learning: bool = quantity(
         True, "-", "Estimate the plant's constants from its motion", live=True
     )

@@ -41,7 +41,7 @@ from sphere_nmpc.model.state import (
     as_state,
     without_momentum,
 )
-from sphere_nmpc.model.torque import within_torque
+from sphere_nmpc.model.torque import heat_and_energy, torques, within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.strategy.contract import Situation, Strategy
@@ -342,6 +342,19 @@ class Controller:
     def speeds_at(self, time: float) -> Vector:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
         return self._commands.sent.at(time)
+
+    def motor_effort(self, start: float, end: float, pose: Vector) -> Vector:
+        """Return what the commands from `start` to `end` [s] took, see `heat_and_energy`.
+
+        It is that at a pose, shape (6,): in half a second the sphere turns by so little that this
+        changes the heat by 1 %.
+        """
+        durations, speeds = self._commands.sent.pieces(start, end)
+        states = np.tile(pose, (durations.size + 1, 1))
+        hold = FirstOrderHold(np.append(0.0, np.cumsum(durations)), speeds)
+        inertia = self._robot.rotor_axial_inertia
+        each = torques(states, hold, self._estimator.plant.constants, inertia)
+        return heat_and_energy(durations, speeds, *each)
 
     def is_at_rest(self, now: float) -> bool:
         """Return whether no rotor moves at `now` [s] or later by the commands sent."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
+from sphere_nmpc.model.torque import heat_and_energy
 
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
@@ -34,6 +35,8 @@ class Metrics:
         `errors_to`.
     max_rotor_speed, max_rotor_torque_nm : float
         Largest magnitudes [rad/s], [N m].
+    heat, energy_j : float
+        Integrals of the motor torques squared [N^2 m^2 s] and of |torque times speed| [J].
     solve_ms_p50, solve_ms_p99 : float
         Median and 99th percentile of the solve time [ms], of the instants at which a plan was
         solved, rather than kept in 0 s.
@@ -46,6 +49,8 @@ class Metrics:
     final_orientation_error_rad: float
     max_rotor_speed: float
     max_rotor_torque_nm: float
+    heat: float
+    energy_j: float
     solve_ms_p50: float
     solve_ms_p99: float
 
@@ -174,14 +179,17 @@ class GoalRun:
 
 
 def measure(
-    times: Vector, states: Vector, goal: Goal, rotor_speeds: Vector, rotor_torques: Vector,
-    solve_times: Vector,
+    times: Vector, states: Vector, goal: Goal, joint_times: Vector, rotor_speeds: Vector,
+    rotor_torques: Vector, solve_times: Vector,
 ) -> Metrics:
     """Return the metrics of a run towards one goal that does not move.
 
     `states`, shape (n, 6), are at `times` since the goal was set [s]. Rotor speeds [rad/s] and
-    torques [N m], shape (m, 2), and the solve times [s], (k,), are of any times.
+    torques [N m], shape (m, 2), are at times of their own, the solve times [s], (k,), of any.
     """
+    heat, energy = heat_and_energy(
+        np.diff(joint_times), rotor_speeds, rotor_torques[:-1], rotor_torques[1:]
+    ).tolist()
     errors = errors_to(goal, states)
     stay = stay_below(times, errors[:, 0])
     final_error, final_distance, final_angle = errors[-1].tolist()
@@ -190,6 +198,7 @@ def measure(
         final_error=final_error, final_position_error_m=final_distance,
         final_orientation_error_rad=final_angle,
         max_rotor_speed=_peak(rotor_speeds), max_rotor_torque_nm=_peak(rotor_torques),
+        heat=heat, energy_j=energy,
         solve_ms_p50=_percentile(solve_times, 50.0), solve_ms_p99=_percentile(solve_times, 99.0),
     )
 

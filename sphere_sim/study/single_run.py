@@ -114,7 +114,8 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     solve_times = np.array(planned)
     speeds = np.vstack((trajectory.speeds, inputs.speeds))
     measured = measure(
-        trajectory.times, trajectory.states, Goal(goal), speeds, trajectory.torques, solve_times
+        trajectory.times, trajectory.states, Goal(goal), trajectory.times, trajectory.speeds,
+        trajectory.torques, solve_times,
     )
     results = {name: finite(value) for name, value in asdict(measured).items()}
     errors = state_errors(trajectory.states, goal)

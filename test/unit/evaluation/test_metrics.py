@@ -71,13 +71,18 @@ def test_measure_of_a_straight_run() -> None:
     states = np.tile(GOAL, (101, 1))
     states[:, 0] = np.maximum(0.0, 5.0 - times)
     states[:, 2] = -1.0  # the other quaternion of the same orientation
-    speeds = np.array([[1.0, -90.0], [np.nan, 3.0]])
+    speeds, joint_times = np.array([[1.0, -90.0], [-1.0, 30.0], [np.nan, 3.0]]), np.arange(3.0)
     goal, solves = Goal(GOAL), np.array([0.001, 0.0, 0.003, np.nan, 0.0, 0.0])
-    metrics = measure(times, states, goal, speeds, np.empty((0, 2)), solves)
+    torques = np.array([[0.1, 0.3], [0.1, 0.6]])
+    metrics = measure(times, states, goal, joint_times[:2], speeds[:2], torques, solves)
+    assert metrics.heat == pytest.approx(0.01 + 0.21)  # the second torque rises in a second
+    assert metrics.energy_j == pytest.approx(0.1 + 0.5 * (27.0 + 18.0))
+    unknown = np.full((3, 2), np.nan)
+    metrics = measure(times, states, goal, joint_times, speeds, unknown, solves)
     assert metrics.settled and metrics.settle_time_s == pytest.approx(5.0)
     assert metrics.final_error == 0.0
     assert metrics.max_rotor_speed == 90.0
-    assert math.isnan(metrics.max_rotor_torque_nm)
+    assert math.isnan(metrics.max_rotor_torque_nm) and math.isnan(metrics.heat)
     assert metrics.solve_ms_p50 == pytest.approx(2.0)
 
 

@@ -5,213 +5,167 @@
 ``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal. ``seed`` is optional;
 by default it is the number of the row, counted from 0. ``push_x, push_y, push_time`` are a push,
 and columns named like settings of the disturbances, such as ``slope``, have values for the run;
-all these may be absent or empty. Other columns are copied to the results.
+all these may be absent or empty. ``path`` is a CSV file of ``x, y`` beside this one, along which
+the run leads to its last place, and ``path_speed`` the speed; the goal of such a run may be absent
+or empty, and is not read. Other columns are copied to the results.
 """
 
-import csv
 import math
-import stat
-from collections import Counter
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TextIO
 
-from sphere_nmpc.errors import InvalidParameterError, InvalidStateError, SphereNmpcError
-from sphere_nmpc.foreign_text import printable_line, shown
+import numpy as np
+
+from sphere_nmpc.errors import InvalidParameterError, InvalidStateError
+from sphere_nmpc.foreign_text import shown
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
-from sphere_nmpc.quantity import counted
-from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.scenario.csv_table import MOST_FIELDS, CsvFileError, number, read_rows
+from sphere_sim.scenario.scenarios import (
+    DISTURBANCE_COLUMNS,
+    PATH_SPEED_COLUMN,
+    PUSH_COLUMNS,
+    GivenPath,
+    Scenario,
+)
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
 STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
 SEED_COLUMN = "seed"
+PATH_COLUMN = "path"
+PLACE_COLUMNS = ("x", "y")
+"""Columns of a path."""
 
-LARGEST_FILE = 2**28
-"""Largest file that is read [bytes]."""
-MOST_FIELDS = 12_000_000
-"""Fields of all rows that are read: a million rows of the columns that have to be there, which
-take 1.5 GB of memory."""
 LARGEST_SEED = 2**31 - 1
 """Largest seed."""
 STRONGEST_PUSH = 1e3
 """Largest component of a push [N s]."""
-
-
-class ScenarioFileError(SphereNmpcError, ValueError):
-    """A scenario file cannot be read or is invalid; lines are counted from 1."""
-
-    exit_code = 2
-
-    def __init__(
-        self, path: Path, given: str, expected: str, line: int | None = None, column: str = ""
-    ) -> None:
-        where = str(path)
-        if line is not None:
-            where += f", line {line}"
-        if column:
-            where += f", column {column}"
-        super().__init__(printable_line(f"{where}: given {given}, expected {expected}"))
-        self.line = line
-        self.column = column
-        self.given = given
-        self.expected = expected
+SHORTEST_PATH = 1e-3
+"""Least distance of some place of a path from its first one [m]."""
 
 
 def read_scenarios(path: Path) -> list[Scenario]:
-    """Read all scenarios of a file, at least one; `ScenarioFileError` names what is wrong."""
-    try:
-        _refuse_unreadable(path)
-        # utf-8-sig: some spreadsheets write a byte order mark before the first name.
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(_rows(path, file))
-    except UnicodeDecodeError as error:
-        raise ScenarioFileError(
-            path, f"the byte 0x{error.object[error.start]:02x}", "text encoded in UTF-8",
-            _line_of_bad_byte(path),
-        ) from None
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise ScenarioFileError(path, reason.lower(), "a CSV file that can be read") from None
-    if not rows:
-        raise ScenarioFileError(path, "a header alone", "at least one scenario")
-    return rows
+    """Read all scenarios of a file; `CsvFileError` names what is wrong."""
+    paths = _PathFiles(path)
+    return [
+        _row(path, line, fields, index, paths)
+        for index, (line, fields) in enumerate(read_rows(path, _needed, "scenario"))
+    ]
 
 
-def _refuse_unreadable(path: Path) -> None:
-    """Raise an error for devices and pipes, which may have no end, and for too large files."""
-    about = path.stat()
-    kinds = {stat.S_ISDIR: "a directory", stat.S_ISFIFO: "a pipe", stat.S_ISREG: ""}
-    given = next((kind for test, kind in kinds.items() if test(about.st_mode)), "a device")
-    if given:
-        raise ScenarioFileError(path, given, "a CSV file")
-    if about.st_size > LARGEST_FILE:
-        raise ScenarioFileError(
-            path, f"{about.st_size / 2**20:.0f} MiB", f"at most {LARGEST_FILE / 2**20:.0f} MiB"
-        )
+def _needed(names: Sequence[str]) -> Sequence[str]:
+    return START_COLUMNS if PATH_COLUMN in names else STATE_COLUMNS
 
 
-def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
-    reader = csv.reader(file, strict=True)
-    header: list[str] | None = None
-    number = 0
-    while True:
-        line = reader.line_num + 1
+class _PathFiles:
+    """Paths that scenarios name; each file is read once."""
+
+    def __init__(self, scenarios: Path) -> None:
+        self._scenarios = scenarios
+        self._read: dict[Path, Vector] = {}
+
+    def read(self, line: int, text: str) -> GivenPath:
+        """Return the path that the scenario of a line names."""
+        file = self._scenarios.parent.joinpath(os.path.expanduser(text)).absolute()
         try:
-            fields = next(reader, None)
-        except csv.Error as error:
-            raise ScenarioFileError(path, str(error), "a row of CSV", line) from None
-        if fields is None:
-            break
-        if not any(text.strip() for text in fields):
-            continue
-        if header is None:
-            header = _header(path, line, [text.strip() for text in fields])
-            continue
-        if len(fields) != len(header):
-            raise ScenarioFileError(
-                path, counted(len(fields), "field"), f"{len(header)}, as in the header", line
-            )
-        number += 1
-        if number * len(header) > MOST_FIELDS:
-            raise ScenarioFileError(
-                path, f"more than {MOST_FIELDS} fields",
-                f"at most {MOST_FIELDS // len(header)} rows of {len(header)} columns", line,
-            )
-        yield _row(path, line, dict(zip(header, fields, strict=True)), number - 1)
-    if header is None:
-        raise ScenarioFileError(path, "an empty file", f"a header {','.join(STATE_COLUMNS)}")
+            if file not in self._read:
+                self._read[file] = read_path(file)
+                if sum(places.size for places in self._read.values()) > MOST_FIELDS:
+                    given = f"paths of more than {MOST_FIELDS} coordinates"
+                    raise CsvFileError(file, given, "fewer in all paths of a study")
+        except CsvFileError as error:
+            if error.line is not None:
+                raise
+            given = f"{shown(text)}, {error.given}"
+            raise CsvFileError(
+                self._scenarios, given, error.expected, line, PATH_COLUMN
+            ) from None
+        return GivenPath(self._read[file], file)
 
 
-def _header(path: Path, line: int, names: list[str]) -> list[str]:
-    for name in STATE_COLUMNS:
-        if name not in names:
-            raise ScenarioFileError(
-                path, f"the columns {shown(','.join(names))}", "a column of this name", line, name
-            )
-    for name, times in Counter(names).items():
-        if times > 1:
-            raise ScenarioFileError(path, "a name twice", "each column once", line, name)
-    return names
+def read_path(path: Path) -> Vector:
+    """Return the places of a path, shape (P, 2) [m]; `CsvFileError` names what is wrong."""
+    places = np.array([
+        [number(path, line, name, fields[name].strip(), FARTHEST, "m") for name in PLACE_COLUMNS]
+        for line, fields in read_rows(path, lambda _: PLACE_COLUMNS, "place", plain=True)
+    ])
+    places.flags.writeable = False
+    if np.max(np.abs(places - places[0])) < SHORTEST_PATH:
+        raise CsvFileError(
+            path, "one place", f"places that are {SHORTEST_PATH:g} m apart or more"
+        )
+    return places
 
 
-def _row(path: Path, line: int, fields: dict[str, str], number: int) -> Scenario:
-    given = {name: fields.pop(name).strip() for name in STATE_COLUMNS}
-    seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), number)
-    start, goal = (_state(path, line, given, names) for names in (START_COLUMNS, GOAL_COLUMNS))
+def _row(
+    path: Path, line: int, fields: dict[str, str], index: int, paths: _PathFiles
+) -> Scenario:
+    given = {name: fields.pop(name, "").strip() for name in STATE_COLUMNS}
+    seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), index)
+    start = _state(path, line, given, START_COLUMNS)
+    named = fields.pop(PATH_COLUMN, "").strip()
+    follows = paths.read(line, named) if named else None
+    goal = _state(path, line, given, GOAL_COLUMNS) if follows is None else follows.end
     push = _push(path, line, {name: fields.pop(name, "").strip() for name in PUSH_COLUMNS})
-    values = {name: fields.pop(name, "").strip() for name in DISTURBANCE_COLUMNS}
-    disturbances = _disturbances(path, line, {n: text for n, text in values.items() if text})
-    return Scenario(start, goal, seed, fields, given, push, disturbances)
+    disturbances = _settings(path, line, fields, DisturbanceSettings, DISTURBANCE_COLUMNS)
+    speed = _settings(path, line, fields, ControllerSettings, (PATH_SPEED_COLUMN,))
+    return Scenario(
+        start, goal, seed, fields, given, push, disturbances, follows, speed.get(PATH_SPEED_COLUMN)
+    )
 
 
 def _push(path: Path, line: int, texts: dict[str, str]) -> Push | None:
     if not any(texts.values()):
         return None
-    east, north, time = (_number(path, line, name, text) for name, text in texts.items())
-    for name, value in zip(PUSH_COLUMNS, (east, north), strict=False):
-        if abs(value) > STRONGEST_PUSH:
-            expected = f"-{STRONGEST_PUSH:g} to {STRONGEST_PUSH:g} [N s]"
-            raise ScenarioFileError(path, shown(texts[name]), expected, line, name)
-    if time < 0.0:
-        name = PUSH_COLUMNS[-1]
-        raise ScenarioFileError(path, shown(texts[name]), "a time from 0 on [s]", line, name)
-    return Push(time, (east, north))
+    *impulse, time = PUSH_COLUMNS
+    east, north = (number(path, line, n, texts[n], STRONGEST_PUSH, "N s") for n in impulse)
+    at = number(path, line, time, texts[time])
+    if at < 0.0:
+        raise CsvFileError(path, shown(texts[time]), "a time from 0 on [s]", line, time)
+    return Push(at, (east, north))
 
 
-def _disturbances(path: Path, line: int, texts: dict[str, str]) -> dict[str, float]:
-    values = {name: _number(path, line, name, text) for name, text in texts.items()}
+def _settings(
+    path: Path, line: int, fields: dict[str, str], kind: Callable[..., object],
+    names: Sequence[str],
+) -> dict[str, float]:
+    """Take the columns of some settings of a kind out of the fields."""
+    texts = {name: text for name in names if (text := fields.pop(name, "").strip())}
+    values = {name: number(path, line, name, text) for name, text in texts.items()}
     try:
-        DisturbanceSettings(**values)
+        if values:
+            kind(**values)
     except InvalidParameterError as error:
         name = error.name
-        raise ScenarioFileError(path, shown(texts[name]), error.expected, line, name) from None
+        raise CsvFileError(path, shown(texts[name]), error.expected, line, name) from None
     return values
 
 
 def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...]) -> Vector:
-    values = [_number(path, line, name, given[name]) for name in names]
-    for name, value in zip(names[:2], values, strict=False):
-        if abs(value) > FARTHEST:
-            raise ScenarioFileError(
-                path, shown(given[name]), f"-{FARTHEST:g} to {FARTHEST:g} [m]", line, name
-            )
+    limits = [FARTHEST] * 2 + [math.inf] * 4
+    values = [
+        number(path, line, name, given[name], most, "m")
+        for name, most in zip(names, limits, strict=True)
+    ]
     try:
         return as_state(values)
     except InvalidStateError:
-        raise ScenarioFileError(
+        raise CsvFileError(
             path, f"a norm of {math.hypot(*values[2:]):.6g}",
             f"a quaternion of norm 1 within {NORM_TOLERANCE:g}",
             line, f"{names[2]} to {names[-1]}",
         ) from None
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
-    try:
-        # Python accepts 1_000, which other readers of CSV do not.
-        value = math.nan if "_" in text else float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ScenarioFileError(path, shown(text), "a finite number", line, name)
-    return value
-
-
-def _seed(path: Path, line: int, text: str, number: int) -> int:
+def _seed(path: Path, line: int, text: str, index: int) -> int:
     if not text:
-        return number
+        return index
     if not (text.isascii() and text.isdigit()) or int(text[:11]) > LARGEST_SEED:
-        raise ScenarioFileError(
+        raise CsvFileError(
             path, shown(text), f"a whole number from 0 to {LARGEST_SEED}", line, SEED_COLUMN
         )
     return int(text)
-
-
-def _line_of_bad_byte(path: Path) -> int | None:
-    try:
-        path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        return error.object[: error.start].count(b"\n") + 1
-    return None

@@ -21,14 +21,25 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
-from sphere_sim.evaluation.along_path import measure_along
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, errors_to, measure, stay_below
+from sphere_sim.evaluation.metrics import (
+    LOOSELY_SETTLED,
+    errors_to,
+    measure,
+    measure_along,
+    stay_below,
+)
 from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.record import ODOMETRY_RESULT_COLUMNS, RunRecord, Value, finite
+from sphere_sim.study.record import (
+    ODOMETRY_RESULT_COLUMNS,
+    PATH_RESULT_COLUMNS,
+    RunRecord,
+    Value,
+    finite,
+)
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 from sphere_sim.world.walls import Contact, Walls, walls_of
@@ -152,15 +163,12 @@ def _along(trajectory: Trajectory, course: Course, radius: float) -> dict[str, V
     paths = [leg.follows for leg in course.legs if leg.follows is not None]
     if not paths:
         return {}
-    measured = measure_along(
-        trajectory.times, trajectory.states[:, POSITION], [path.places for path in paths],
-        paths[0].tolerance, radius,
-    )
-    results = {name: finite(value) for name, value in asdict(measured).items()}
-    if results["path_time_s"] is None:
-        # At the start of a closed path the sphere is at its end, too.
-        results |= {"settled": False, "settle_time_s": None}
-    return results
+    # Half a radius is far more than it rolls from one sample to the next.
+    found = measure_along(trajectory.times, trajectory.states[:, POSITION], paths, 0.5 * radius)
+    results = dict(zip(PATH_RESULT_COLUMNS, map(finite, found), strict=True))
+    # At the start of a closed path the sphere is at its end, too.
+    is_there = results["path_time_s"] is not None
+    return results if is_there else {**results, "settled": False, "settle_time_s": None}
 
 
 def _contacts(contact: Contact, trajectory: Trajectory) -> dict[str, Value]:

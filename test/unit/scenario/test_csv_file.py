@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphere_sim.scenario import csv_file, csv_table
-from sphere_sim.scenario.csv_file import GOAL_COLUMNS, START_COLUMNS, STATE_COLUMNS, read_scenarios
-from sphere_sim.scenario.csv_table import CsvFileError
+from sphere_sim.scenario import csv_file
+from sphere_sim.scenario.csv_file import (
+    GOAL_COLUMNS,
+    START_COLUMNS,
+    STATE_COLUMNS,
+    ScenarioFileError,
+    read_scenarios,
+)
 from sphere_sim.world.disturbances import Push
 
 HEADER = ",".join(STATE_COLUMNS)
@@ -24,8 +29,8 @@ def write(folder: Path, *lines: str, encoding: str = "utf-8") -> Path:
     return path
 
 
-def error_of(path: Path) -> CsvFileError:
-    with pytest.raises(CsvFileError) as caught:
+def error_of(path: Path) -> ScenarioFileError:
+    with pytest.raises(ScenarioFileError) as caught:
         read_scenarios(path)
     assert str(path) in str(caught.value)
     assert "given" in str(caught.value) and "expected" in str(caught.value)
@@ -45,7 +50,7 @@ def test_columns_may_come_in_any_order_with_extras_and_blank_lines(tmp_path) -> 
 
 
 def test_rows_are_as_many_as_fit_into_memory(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(csv_table, "MOST_FIELDS", 3 * 12)
+    monkeypatch.setattr(csv_file, "MOST_FIELDS", 3 * 12)
     read = read_scenarios(write(tmp_path, HEADER, ROW, ROW, ROW))
     assert [one.seed for one in read] == [0, 1, 2]
     error = error_of(write(tmp_path, HEADER, *[ROW] * 4))
@@ -129,7 +134,7 @@ def test_path_is_read_beside_the_scenarios_and_needs_no_goal(tmp_path, monkeypat
     ],
 )
 def test_bad_path_is_refused_with_its_line(tmp_path, places, line, column, given) -> None:
-    with pytest.raises(CsvFileError) as caught:
+    with pytest.raises(ScenarioFileError) as caught:
         read_scenarios(with_path(tmp_path, "way.csv", *places))
     named = "scenarios.csv" if column == "path" else "way.csv"
     assert str(caught.value).startswith(f"{tmp_path / named}, line {line}")
@@ -140,8 +145,9 @@ def test_path_that_cannot_be_read_is_an_error_of_its_scenario(tmp_path, monkeypa
     for text in ("none.csv", "/dev/zero", "."):
         error = error_of(with_path(tmp_path, text, "0,0", "1,0"))
         assert (error.line, error.column) == (2, "path") and error.given.startswith(repr(text))
-    monkeypatch.setattr(csv_file, "MOST_FIELDS", 3)
-    assert "coordinates" in error_of(with_path(tmp_path, "way.csv", "0,0", "1,0")).given
+    monkeypatch.setattr(csv_file, "MOST_FIELDS", 3 * 14)
+    with pytest.raises(ScenarioFileError, match=r"way\.csv, line 22: given more than 42 fields"):
+        read_scenarios(with_path(tmp_path, "way.csv", *["0,0", "1,0"] * 12))
     header = HEADER + ",path,path_speed"
     for cells, column in ((",,-1", "path_speed"), (",,fast", "path_speed")):
         assert error_of(write(tmp_path, header, ROW + cells)).column == column

@@ -11,8 +11,8 @@
 Each run starts at rest at the start of its path with an orientation drawn at random. `gentle` are
 the line, arcs and S of 3 m with curvatures of 0.15 to 0.5 1/m to both sides. On the ideal plant
 the judge integrates the commands by itself (`worlds.integrated`), elsewhere it has the states.
-Times are in those of steady rolling along the path; for `places`, six drawn at random, in that of
-a list of them, at each of which the sphere rests.
+Times are in those of steady rolling along the path; for `places`, six that are 0.5 to 1.5 m apart
+with turns of up to 60 degrees, in that of a list of them, at each of which the sphere rests.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import deviations, errors_to, measure_along, stay_below
 from sphere_sim.scenario.perturbation import perturbed
-from sphere_sim.scenario.scenarios import GivenPath, Scenario, anywhere
+from sphere_sim.scenario.scenarios import GivenPath, Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import finite
 from sphere_sim.study.single_run import course_of, followed_inputs, prepare
@@ -51,7 +51,6 @@ _STEP = 5e-3
 """Time between two looks at the sphere [s]."""
 _REACH = 0.1
 """Way beyond what is rolled in a step, and less than from one part of a path to another [m]."""
-_PLACES = 6
 
 _BENT = [f"{form}{sign}{0.05 * k:.2f}" for form in ("arc", "s") for sign in "+-"
          for k in range(3, 11)]
@@ -62,7 +61,9 @@ KINDS = ["circle", "eight", "places", *GENTLE]
 def nodes_of(kind: str, rng: np.random.Generator) -> Vector:
     """Return places, shape (P, 2) [m], that a path of a kind goes through from start to end."""
     if kind == "places":
-        return np.array([anywhere(rng)[0][POSITION] for _ in range(_PLACES + 1)])
+        turns = np.cumsum(np.radians(rng.uniform(-60.0, 60.0, 6)))
+        ways = rng.uniform(0.5, 1.5, 6) * np.stack((np.cos(turns), np.sin(turns)))
+        return np.vstack((np.zeros((1, 2)), np.cumsum(ways, axis=1).T))
     if kind == "eight":  # 2 m long, 1 m wide
         angles = np.linspace(0.0, 2.0 * np.pi, 100_001)
         return np.column_stack((np.sin(angles), np.sin(angles) * np.cos(angles)))

@@ -236,10 +236,10 @@ def _distance(path: Path, way: float, place: Vector) -> float:
 def measure_along(
     times: Vector, places: Vector, paths: Sequence[Path], reach: float
 ) -> tuple[float, float, float]:
-    """Return how far a run along paths deviates and how long it takes; nan if it does not start.
+    """Return how far a run along paths deviates and how long it takes; nan if it never does.
 
-    It is judged from when it is first near the start until it stays at the end, to
-    `SETTLED_ERROR`, having followed all of them; otherwise to the last of the times.
+    It is judged from when it is first on the path, within the tolerance, until it stays at the
+    end, to `SETTLED_ERROR`, having followed all of the rest; otherwise to the last of the times.
 
     Returns
     -------
@@ -248,18 +248,18 @@ def measure_along(
     duration : float
         How long it takes [s]; nan where it does not come to the end.
     """
-    near = np.linalg.norm(places - paths[0].places[0], axis=1) <= paths[0].tolerance
+    away, ways = deviations(paths, places, reach)
+    near = away <= paths[0].tolerance
     if not near.any():
         return math.nan, math.nan, math.nan
     first, last = int(np.argmax(near)), len(places)
-    away, ways = deviations(paths, places[first:], reach)
     whole = ways > sum(path.length for path in paths) - SETTLED_ERROR
     since = settling_index(np.linalg.norm(places - paths[-1].places[-1], axis=1))
     duration = math.nan
     if since is not None and whole[-1]:
-        last = max(since, first + int(np.argmax(whole)))
+        last = max(since, int(np.argmax(whole)))
         duration = float(times[last] - times[first])
-    away = away[: last + 1 - first]
+    away = away[first : last + 1]
     return float(np.sqrt(np.mean(away**2))), float(np.max(away)), duration
 
 

@@ -118,9 +118,11 @@ def test_part_of_a_path_that_is_left_out_counts_although_the_run_stays_on_the_pa
     assert largest < 1e-3 and math.isnan(duration)
 
 
-def test_run_along_a_path_is_judged_from_its_start_on_and_where_it_turns_back() -> None:
+def test_run_along_a_path_is_judged_once_it_is_on_it_and_where_it_turns_back() -> None:
     line = np.column_stack((np.linspace(0.0, 1.0, 201), np.zeros(201)))
     before = np.column_stack((np.linspace(-0.5, -0.03, 50), np.full(50, 0.3)))
+    joining = np.vstack((line[60:80] + np.array((0.0, 0.1)), line[80:]))
+    assert along(joining, line)[1:] == pytest.approx((0.0, 1.2), abs=0.04)
     back = np.vstack((line, line[::-1]))
     for track, end in ((line, 2.0), (back, 4.0)):
         _, largest, duration = along(np.vstack((before, track)), track)

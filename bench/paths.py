@@ -55,7 +55,7 @@ _REACH = 0.1
 _BENT = [f"{form}{sign}{0.05 * k:.2f}" for form in ("arc", "s") for sign in "+-"
          for k in range(3, 11)]
 GENTLE = ["line", *_BENT]
-KINDS = ["circle", "eight", "places", *GENTLE]
+KINDS = ["circle", "eight", *GENTLE, "places"]
 
 
 def nodes_of(kind: str, rng: np.random.Generator) -> Vector:

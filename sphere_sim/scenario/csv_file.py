@@ -10,6 +10,7 @@ to the last place, and ``path_speed`` is its speed; the goal of such a run may b
 and is not read. Other columns are copied to the results.
 """
 
+import contextlib
 import csv
 import io
 import math
@@ -83,32 +84,25 @@ class ScenarioFileError(SphereNmpcError, ValueError):
 def read_scenarios(path: Path) -> list[Scenario]:
     """Read all scenarios of a file; `ScenarioFileError` names what is wrong."""
     paths: dict[Path, Vector] = {}
-    return [
-        _scenario(path, line, fields, index, paths)
-        for index, (line, fields) in enumerate(_rows_of(path, _needed_columns, "scenario"))
-    ]
+    with _opened(path) as file:
+        return [
+            _scenario(path, line, fields, index, paths)
+            for index, (line, fields) in enumerate(_rows(path, file, _needed_columns, "scenario"))
+        ]
 
 
 def _needed_columns(names: Sequence[str]) -> Sequence[str]:
     return START_COLUMNS if PATH_COLUMN in names else STATE_COLUMNS
 
 
-def _rows_of(
-    path: Path, needed: Callable[[Sequence[str]], Sequence[str]], what: str,
-    most: int | None = None,
-) -> Iterator[Row]:
-    """Yield all rows of a file, at least one, without blank ones.
-
-    `needed` returns the columns that are needed beside given ones, `what` is what a row is, and
-    `most` the number of fields; where it is given, numbers in the first row are no header.
-    """
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    """Open a file, and raise what cannot be read of it as `ScenarioFileError`."""
     try:
         # utf-8-sig: some spreadsheets write a byte order mark before the first name.
         stream = open_file(path, LARGEST_FILE)
         with io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as file:
-            yield from _rows(path, file, needed, what, most)
-    except ScenarioFileError:
-        raise
+            yield file
     except UnicodeDecodeError as error:
         raise ScenarioFileError(
             path, f"the byte 0x{error.object[error.start]:02x}", "text encoded in UTF-8",
@@ -116,15 +110,20 @@ def _rows_of(
         ) from None
     except InvalidFileError as error:
         raise ScenarioFileError(path, str(error.given), error.expected) from None
-    except (OSError, ValueError) as error:  # the latter for a name with a NUL
-        reason = getattr(error, "strerror", None) or str(error)
+    except OSError as error:
+        reason = error.strerror or str(error)
         raise ScenarioFileError(path, reason.lower(), "a CSV file that can be read") from None
 
 
 def _rows(
     path: Path, file: TextIO, needed: Callable[[Sequence[str]], Sequence[str]], what: str,
-    most: int | None,
+    most: int | None = None,
 ) -> Iterator[Row]:
+    """Yield all rows of a file, at least one, without blank ones.
+
+    `needed` returns the columns that are needed beside given ones, `what` is what a row is, and
+    `most` the number of fields; where it is given, numbers in the first row are no header.
+    """
     reader = csv.reader(file, strict=True)
     header: Sequence[str] | None = None
     limit = MOST_FIELDS if most is None else most
@@ -207,11 +206,11 @@ def _path(path: Path, line: int, text: str, known: dict[Path, Vector]) -> GivenP
 
 def _places(path: Path, most: int) -> Vector:
     """Return the places in a file of a path, of so many fields at most; shape (P, 2) [m]."""
-    rows = _rows_of(path, lambda _: PLACE_COLUMNS, "place", most)
-    places = np.array([
-        [_number(path, line, name, fields[name].strip(), FARTHEST) for name in PLACE_COLUMNS]
-        for line, fields in rows
-    ])
+    with _opened(path) as file:
+        places = np.array([
+            [_number(path, line, name, fields[name], FARTHEST) for name in PLACE_COLUMNS]
+            for line, fields in _rows(path, file, lambda _: PLACE_COLUMNS, "place", most)
+        ])
     if np.max(np.abs(places - places[0])) < SHORTEST_PATH:
         raise ScenarioFileError(path, "one place", f"some {SHORTEST_PATH:g} m apart")
     places.flags.writeable = False

@@ -1,8 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run: errors over time, when it has settled, peaks, touches."""
+"""Metrics of a run: errors over time, when it has settled, deviations from paths, peaks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
 from sphere_nmpc.model.torque import heat_and_energy
 
@@ -211,6 +213,63 @@ def _peak(values: NDArray[np.float64]) -> float:
 def _percentile(solve_times: Vector, percent: float) -> float:
     solved = solve_times[np.isfinite(solve_times) & (solve_times > 0.0)]
     return 1e3 * float(np.percentile(solved, percent)) if solved.size else math.nan
+
+
+def deviations(paths: Sequence[Path], places: Vector, reach: float) -> tuple[Vector, Vector]:
+    """Return the distances from paths followed in order, and the lengths followed [m].
+
+    Both are of all places, shape (N, 2). The length changes by up to `reach` [m] from one to the
+    next, so that parts of a path that come near one another do not stand for one another. A path
+    is left, within the tolerance of its end, where the next one is as near.
+    """
+    index, way, before = 0, 0.0, 0.0
+    found = []
+    for place in places:
+        path = paths[index]
+        way = path.nearest(place, way - reach, way + reach)
+        away = _distance(path, way, place)
+        if index + 1 < len(paths) and way > path.length - path.tolerance:
+            then = paths[index + 1].nearest(place, 0.0, reach)
+            other = _distance(paths[index + 1], then, place)
+            if other <= away:
+                index, before, way, away = index + 1, before + path.length, then, other
+        found.append((away, before + way))
+    distances, ways = np.array(found).T
+    return distances, ways
+
+
+def _distance(path: Path, way: float, place: Vector) -> float:
+    return math.hypot(*(path.at(way)[:2] - place))
+
+
+def measure_along(
+    times: Vector, places: Vector, paths: Sequence[Path], reach: float
+) -> tuple[float, float, float]:
+    """Return how far a run along paths deviates and how long it takes; nan if it never does.
+
+    It is judged from when it is first on the path, within the tolerance, until it stays at the
+    end, to `SETTLED_ERROR`, having followed all of the rest; otherwise to the last of the times.
+
+    Returns
+    -------
+    rms, largest : float
+        Root of the mean square over time and largest distance [m]; see `deviations`.
+    duration : float
+        How long it takes [s]; nan where it does not come to the end.
+    """
+    away, ways = deviations(paths, places, reach)
+    near = away <= paths[0].tolerance
+    if not near.any():
+        return math.nan, math.nan, math.nan
+    first, last = int(np.argmax(near)), len(places)
+    whole = ways > sum(path.length for path in paths) - SETTLED_ERROR
+    since = settling_index(np.linalg.norm(places - paths[-1].places[-1], axis=1))
+    duration = math.nan
+    if since is not None and whole[-1]:
+        last = max(since, int(np.argmax(whole)))
+        duration = float(times[last] - times[first])
+    away = away[first : last + 1]
+    return float(np.sqrt(np.mean(away**2))), float(np.max(away)), duration
 
 
 def touches(clearances: Vector) -> NDArray[np.intp]:

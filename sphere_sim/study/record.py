@@ -25,6 +25,8 @@ RESULT_COLUMNS = (
 """Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
 PUSH_RESULT_COLUMNS = ("recover_s",)
 """Further columns of runs.csv of a study with pushes."""
+PATH_RESULT_COLUMNS = ("path_rms_m", "path_max_m", "path_time_s")
+"""Further columns of runs.csv of a study with paths; see `evaluation.metrics.measure_along`."""
 FLOOR_RESULT_COLUMNS = ("contacts", "least_clearance_m", "reason")
 """Further columns of runs.csv of a study on a floor; ``reason`` is why a goal was given up."""
 

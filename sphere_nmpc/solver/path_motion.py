@@ -133,8 +133,10 @@ def along_path(problem: PathProblem) -> PathMotion:
 
 
 def _motion(knots: Vector) -> PathMotion:
-    columns = (knots[:, part].copy() for part in (0, slice(1, 3), 3, 4))
-    return PathMotion(*columns, float(knots[0, 5]))
+    times, speeds, ways, crossings = (
+        knots[:, part].copy() for part in (0, slice(1, 3), 3, 4)
+    )
+    return PathMotion(times, speeds, ways, crossings, float(knots[0, 5]))
 
 
 def _plain(problem: PathProblem) -> PathMotion:

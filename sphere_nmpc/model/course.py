@@ -94,6 +94,11 @@ class Course:
         """The goals of its legs."""
         return tuple(leg.goal for leg in self.legs)
 
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The paths that its legs follow."""
+        return tuple(leg.follows for leg in self.legs if leg.follows is not None)
+
     def aimed(self, index: int, goal: Goal) -> "Course":
         """Return the same course with another goal at the end of a leg, as when it has moved."""
         legs = self.legs

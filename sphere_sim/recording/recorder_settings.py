@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the recorder, its default topics, and topic patterns.
 
-``goal_pose``, ``goal_point``, ``goals`` and ``path`` are not recorded by default: ``ros2 topic pub --once``
-publishes to its first matched subscription and ends, so that with a recorder among the subscribers
-the goal may never reach the controller. Accepted goals are on ``controller/active_goal``, refused
-ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``, ``map`` and
-``keepout`` as they are put together on ``controller/floor``, and ``initialpose`` is not
-recorded. Nor is ``imu``, which a simulator reads only for a subscriber.
+``goal_pose``, ``goal_point``, ``goals`` and ``path`` are not recorded by default: ``ros2 topic pub
+--once`` publishes to its first matched subscription and ends, so that with a recorder among the
+subscribers the goal may never reach the controller. Accepted goals are on
+``controller/active_goal``, paths on ``controller/path``, refused ones in ``/rosout``. For the same
+reason pushes are recorded from ``simulator/pushed``, ``map`` and ``keepout`` as they are put
+together on ``controller/floor``, and ``initialpose`` is not recorded. Nor is ``imu``, which a
+simulator reads only for a subscriber.
 """
 
 from collections.abc import Sequence

@@ -460,7 +460,7 @@ def test_path_is_followed_shown_and_replaced_by_a_goal(robot, capfd) -> None:
 
 @pytest.mark.parametrize(("path", "told"), [
     (path_of(), "path: given 0 poses, expected 1 to 10000; ~/cancel stops"),
-    (path_of((0.0, 0.0), (1.0, math.nan)), "pose 1 of the path: given [1.0, nan], expected finite"),
+    (path_of((0.0, 0.0), (1.0, math.nan)), "pose 1 of the path: given [1.0, nan], expected fin"),
     (path_of((0.0, 0.0), (1.0, 0.0), frame="odom"), "frame: given 'odom', expected 'world'"),
 ])
 def test_path_that_cannot_be_followed_is_refused(robot, capfd, path, told) -> None:

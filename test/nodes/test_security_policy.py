@@ -11,7 +11,8 @@ import navigation_messages
 import pytest
 import rclpy
 from geometry_msgs.msg import PointStamped, PoseStamped
-from nav_msgs.msg import Goals, Path as PathMessage
+from nav_msgs.msg import Goals
+from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 
 from sphere_nmpc.control.goal_client import NavigatorSettings
@@ -89,7 +90,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode(),
                  OdometryNode()]
     goal = rclpy.create_node("goal")
-    GoalLink(goal, (PoseStamped, PointStamped, Goals, PathMessage), NavigatorSettings(), lambda ending: None)
+    kinds = PoseStamped, PointStamped, Goals, PathMessage
+    GoalLink(goal, kinds, NavigatorSettings(), lambda ending: None)
     graph._executor.add_node(goal)
     for node in followers:
         node.set_parameters([rclpy.Parameter("use_sim_time", value=True)])

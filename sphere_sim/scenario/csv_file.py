@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario files: CSV in UTF-8 with a header and one row for each run, columns in any order.
 
+Files of places are read here, too; see `read_places`.
+
 ``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal. ``seed`` is optional;
 by default it is the number of the row, counted from 0. ``push_x, push_y, push_time`` are a push,
 and columns named like settings of the disturbances, such as ``slope``, have values for the run;
@@ -15,6 +17,8 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
+
+import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError, SphereNmpcError
 from sphere_nmpc.foreign_text import printable_line, shown
@@ -41,7 +45,7 @@ STRONGEST_PUSH = 1e3
 
 
 class ScenarioFileError(SphereNmpcError, ValueError):
-    """A scenario file cannot be read or is invalid; lines are counted from 1."""
+    """A file of scenarios or places cannot be read or is invalid; lines are counted from 1."""
 
     exit_code = 2
 
@@ -62,11 +66,44 @@ class ScenarioFileError(SphereNmpcError, ValueError):
 
 def read_scenarios(path: Path) -> list[Scenario]:
     """Read all scenarios of a file, at least one; `ScenarioFileError` names what is wrong."""
+    rows = list(_scenarios(path))
+    if not rows:
+        raise ScenarioFileError(path, "a header alone", "at least one scenario")
+    return rows
+
+
+def read_places(path: Path, most: int) -> Vector:
+    """Return the places [m] of a file, shape (P, 2), at most so many; raises as `read_scenarios`.
+
+    There is one in a row, in the columns that a header names ``x`` and ``y``, or in the first two
+    where there is no header.
+    """
+    columns: dict[str, int] = {}
+    places: list[list[float]] = []
+    for line, fields in _rows(path):
+        if not columns:
+            names = [text.strip() for text in fields]
+            columns = {name: names.index(name) for name in ("x", "y") if name in names}
+            if len(columns) == 2:
+                continue
+            columns = {"x": 0, "y": 1}
+        if len(fields) <= max(columns.values()):
+            raise ScenarioFileError(path, counted(len(fields), "field"), "x and y", line)
+        if len(places) == most:
+            raise ScenarioFileError(path, f"more than {most} places", f"at most {most}", line)
+        places.append([_coordinate(path, line, name, fields[at]) for name, at in columns.items()])
+    if not places:
+        raise ScenarioFileError(path, "no place", "a row with x and y [m] for each place")
+    return np.array(places)
+
+
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and fields of each row that is not empty."""
     try:
         _refuse_unreadable(path)
         # utf-8-sig: some spreadsheets write a byte order mark before the first name.
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(_rows(path, file))
+            yield from _rows_of(path, file)
     except UnicodeDecodeError as error:
         raise ScenarioFileError(
             path, f"the byte 0x{error.object[error.start]:02x}", "text encoded in UTF-8",
@@ -75,9 +112,6 @@ def read_scenarios(path: Path) -> list[Scenario]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise ScenarioFileError(path, reason.lower(), "a CSV file that can be read") from None
-    if not rows:
-        raise ScenarioFileError(path, "a header alone", "at least one scenario")
-    return rows
 
 
 def _refuse_unreadable(path: Path) -> None:
@@ -93,10 +127,8 @@ def _refuse_unreadable(path: Path) -> None:
         )
 
 
-def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
+def _rows_of(path: Path, file: TextIO) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(file, strict=True)
-    header: list[str] | None = None
-    number = 0
     while True:
         line = reader.line_num + 1
         try:
@@ -104,9 +136,15 @@ def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
         except csv.Error as error:
             raise ScenarioFileError(path, str(error), "a row of CSV", line) from None
         if fields is None:
-            break
-        if not any(text.strip() for text in fields):
-            continue
+            return
+        if any(text.strip() for text in fields):
+            yield line, fields
+
+
+def _scenarios(path: Path) -> Iterator[Scenario]:
+    header: list[str] | None = None
+    number = 0
+    for line, fields in _rows(path):
         if header is None:
             header = _header(path, line, [text.strip() for text in fields])
             continue
@@ -172,12 +210,8 @@ def _disturbances(path: Path, line: int, texts: dict[str, str]) -> dict[str, flo
 
 
 def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...]) -> Vector:
-    values = [_number(path, line, name, given[name]) for name in names]
-    for name, value in zip(names[:2], values, strict=False):
-        if abs(value) > FARTHEST:
-            raise ScenarioFileError(
-                path, shown(given[name]), f"-{FARTHEST:g} to {FARTHEST:g} [m]", line, name
-            )
+    values = [_coordinate(path, line, name, given[name]) for name in names[:2]]
+    values += [_number(path, line, name, given[name]) for name in names[2:]]
     try:
         return as_state(values)
     except InvalidStateError:
@@ -186,6 +220,14 @@ def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...])
             f"a quaternion of norm 1 within {NORM_TOLERANCE:g}",
             line, f"{names[2]} to {names[-1]}",
         ) from None
+
+
+def _coordinate(path: Path, line: int, name: str, text: str) -> float:
+    value = _number(path, line, name, text)
+    if abs(value) > FARTHEST:
+        expected = f"-{FARTHEST:g} to {FARTHEST:g} [m]"
+        raise ScenarioFileError(path, shown(text), expected, line, name)
+    return value
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:

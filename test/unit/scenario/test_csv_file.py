@@ -4,6 +4,7 @@
 
 import csv
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from sphere_sim.scenario import csv_file
 from sphere_sim.scenario.csv_file import (
     STATE_COLUMNS,
     ScenarioFileError,
+    read_places,
     read_scenarios,
 )
 from sphere_sim.world.disturbances import Push
@@ -45,6 +47,25 @@ def test_columns_may_come_in_any_order_with_extras_and_blank_lines(tmp_path) -> 
     np.testing.assert_array_equal(scenario.start, [1, 2, 1, 0, 0, 0])
     np.testing.assert_array_equal(scenario.goal, [0, 0, 0, 0, 0, 1])
     assert (scenario.seed, scenario.extra) == (7, {"who": "näme, with comma"})
+
+
+def test_places_are_those_of_the_columns_x_and_y_or_of_the_first_two(tmp_path) -> None:
+    for lines in (("1,2", "", "3,-4.5"), ("x,y", "1,2", "3,-4.5"),
+                  ("t, y ,yaw,x", "0,2,9,1", "1,-4.5,9,3"), ("1,2,5,6", "3,-4.5,7,8")):
+        assert read_places(write(tmp_path, *lines), 2).tolist() == [[1.0, 2.0], [3.0, -4.5]]
+
+
+@pytest.mark.parametrize(("lines", "told"), [
+    ((), "given no place, expected a row with x and y"), (("x,y",), "given no place"),
+    (("a,b", "1,2"), "line 1, column x: given 'a', expected a finite number"),
+    (("1,2", "3"), "line 2: given 1 field, expected x and y"),
+    (("1,2", "3,nan"), "line 2, column y: given 'nan', expected a finite number"),
+    (("x,y", "3,1e7"), "line 2, column y: given '1e7', expected -1e+06 to 1e+06 [m]"),
+    (("1,2",) * 4, "line 4: given more than 3 places, expected at most 3"),
+])
+def test_file_without_valid_places_is_refused(tmp_path, lines, told) -> None:
+    with pytest.raises(ScenarioFileError, match=re.escape(told)):
+        read_places(write(tmp_path, *lines), 3)
 
 
 def test_rows_are_as_many_as_fit_into_memory(tmp_path, monkeypatch) -> None:

@@ -52,6 +52,8 @@ from sphere_nmpc.worker.contract import Worker
 
 _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
+_INSTANT = 1e-3
+"""Time within which a velocity is constant [s]."""
 
 
 class Controller:
@@ -174,7 +176,24 @@ class Controller:
 
     def tracking(self) -> Tracking | None:
         """Return how the path is followed, by the newest pose; None where none is."""
-        return None
+        active, newest = self._course.active, self._estimator.newest
+        path = None if active is None else active.leg.follows
+        if path is None or newest is None:
+            return None
+        way, place = self._planner.paths.way, newest[1][POSITION]
+        x, y, direction, _ = path.at(way).tolist()
+        along, left = math.cos(direction), math.sin(direction)
+        speed = turned = math.nan
+        in_force = self._planner.in_force
+        if in_force is not None:
+            since = max(newest[0], in_force.plan.hold.start)
+            first, second = (in_force.at(since + step)[POSITION] for step in (0.0, _INSTANT))
+            moved = (second - first) / _INSTANT
+            speed = math.hypot(*moved)
+            turned = math.remainder(math.atan2(moved[1], moved[0]) - direction, math.tau)
+        return Tracking(
+            way, path.length - way, along * (place[1] - y) - left * (place[0] - x), turned, speed
+        )
 
     def remaining(self, time_left: float, way_left: float) -> tuple[float, float]:
         """Return time [s] and way [m] to the last of the goals; nan without goal or pose.
@@ -454,7 +473,9 @@ class Controller:
         )
         settings = self._settings
         away = relative_error(decision.state, goal, settings)
-        if (self._is_refused and decision.solved) or (active and not active.is_last):
+        if (self._is_refused and decision.solved) or (
+            active and not (active.is_last and active.may_be_reached(plan))
+        ):
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
         reached = self._arrival.update(time, away, settings.period)
         arrived = reached and found is Kind.TRACKING.alone
@@ -480,6 +501,8 @@ class Controller:
         state, settings, goal = estimate.state, self._settings, active.goal
         while not (active.is_last or self._is_refused):
             away = relative_error(state, goal.nearest(state, time), settings)
+            if before is not None and not active.may_be_reached(before.plan):
+                break
             if not away < 1.0:
                 if before is None or not before.has_passed(active.course, active.index, time):
                     break

@@ -44,9 +44,9 @@ class Tracking:
     deviation : float
         Distance of the centre from it [m], positive to its left.
     heading_error : float
-        Direction of the velocity from that of the path [rad]; 0 at rest.
+        Planned direction of the velocity from that of the path [rad]; nan without a plan.
     speed : float
-        Speed of the centre [m/s].
+        Planned speed of the centre [m/s]; nan without a plan.
     """
 
     way: float

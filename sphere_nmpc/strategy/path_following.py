@@ -1,0 +1,234 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Planner of legs that follow a path, whatever the strategy for goals is.
+
+A plan is the fastest motion along the next part of the path from the measured state, up to a stop
+on it, by `sphere_nmpc.solver.path_motion`: it brings the centre back to the path from beside it.
+Once a sample period, and whenever something is new, it is planned anew, so that the stop is
+reached only where the path ends or leads too near to what is occupied. How the sphere turns on the
+way is free at each crossing of Gamma, and decides how near to their limits both rotors turn: other
+choices are drawn, and followed where they are faster.
+
+With momentum the rotors hold it along the motion besides; what is left, a turn about the body's z
+axis, is met by the next plan.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sphere_nmpc.conditions import Condition, Kind
+from sphere_nmpc.model.course import LegEnd
+from sphere_nmpc.model.disturbance import after_slope, is_zero, rest_speeds
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path import Path
+from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_momentum
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.path_motion import PathLimits, PathMotion, PathProblem, along_path
+from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.rest import come_to_rest, hold_momentum, stop
+
+_HORIZON = 7.0
+"""Time that is planned ahead at least, at the pace of the path [1 / (c1 u_max)]."""
+_SPACING = 0.05
+"""Least time between two knots of a plan [1 / (c1 u_max)]."""
+_WINDOW = 3.0
+"""Length of the path ahead on which the sphere is looked for [Rs]."""
+_TRIES = 8
+"""Other choices that are tried each sample period."""
+_CHOICES = 4
+"""Crossings of Gamma that a choice is for."""
+_LARGEST_CHOICE = 1.5
+"""Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
+_LEAST_GAIN = 0.02
+"""Time by which another choice has to be faster [1 / (c1 u_max)]."""
+_SAME = 0.05
+"""Difference from the predicted state that is nothing new, over the tolerance of the path."""
+
+
+class PathFollowing:
+    """`Strategy` of the legs of a course that follow a path.
+
+    Parameters
+    ----------
+    settings : ControllerSettings
+        Sample period, control rate, speed along paths.
+    robot : RobotParameters
+        Limits of the drives.
+    """
+
+    def __init__(self, settings: ControllerSettings, robot: RobotParameters) -> None:
+        self._settings, self._robot = settings, robot
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget how far the sphere is; it then counts as at the start of the path."""
+        self.way = 0.0
+        """Length of the path up to the place that is nearest [m]."""
+        self._leg: tuple[object, int] | None = None
+        self._turns: Vector = np.zeros(_CHOICES)
+        self._motion: tuple[float, PathMotion] | None = None
+        self._holds = False
+        self._draw = np.random.default_rng(0)
+
+    def change(self, settings: ControllerSettings) -> None:
+        """Use other settings from the next plan on."""
+        self._settings = settings
+
+    def plan(self, situation: Situation) -> Plan:
+        """Return the plan along the path of the leg, or a rest at its end."""
+        leg = situation.course.legs[situation.leg]
+        path, aimed = leg.follows, (situation.course.origin, situation.leg)
+        assert path is not None
+        if aimed != self._leg:
+            self.reset()
+            self._leg = aimed
+        place, radius = situation.state[POSITION], situation.constants.shell_radius
+        first = self.way - radius
+        self.way = path.nearest(place, first, self.way + _WINDOW * radius)
+        until = situation.time + self._settings.period
+        self._holds = self._rests_at_end(path, situation)
+        if self._holds:
+            self._motion = None
+            rest = come_to_rest(situation, self._robot, "at the end of the path")
+            return replace(rest, until=until, tolerance=_SAME * path.tolerance)
+        plan = self._along(path, situation)
+        return replace(plan, until=until, tolerance=_SAME * path.tolerance)
+
+    def _rests_at_end(self, path: Path, situation: Situation) -> bool:
+        """Return whether the sphere is at the end of the path, as nearly as it is told."""
+        place, radius = situation.state[POSITION], situation.constants.shell_radius
+        away = float(np.linalg.norm(place - path.places[-1]))
+        band = max(4e-3 * radius, 3.0 * situation.place_deviation)
+        if self._holds:
+            band = max(band, 0.5 * self._settings.tolerances[0])
+        return self.way >= path.length - max(band, path.spacing) and away <= band
+
+    def _along(self, path: Path, situation: Situation) -> Plan:
+        """Return the plan along the path."""
+        units, period = self._settings.units, self._settings.control_period
+        now, pace = situation.time, self._pace(situation)
+        problem = self._problem(path, situation, pace)
+        self._drop_passed(now)
+        best = along_path(replace(problem, turns=self._turns))
+
+        def cost(motion: PathMotion) -> float:
+            return float(motion.times[-1] + (problem.last - motion.ways[-1]) / pace)
+
+        least = (problem.last - self.way) / pace
+        for _ in range(max(1, round(_TRIES * period / self._settings.period))):
+            if cost(best) < least + 2.0 * _LEAST_GAIN * units.time:
+                break
+            turns = self._turns.copy()
+            begin = int(self._draw.integers(_CHOICES))
+            turns[begin:] = self._draw.uniform(-_LARGEST_CHOICE, _LARGEST_CHOICE, _CHOICES - begin)
+            motion = along_path(replace(problem, turns=turns))
+            if cost(motion) < cost(best) - _LEAST_GAIN * units.time:
+                best, self._turns = motion, turns
+        plan = self._plan(path, situation, best)
+        if is_clear(situation, plan.hold, Margin.KEPT):
+            self._motion = now, best
+            return plan
+        return self._up_to_obstacle(path, situation, problem)
+
+    def _pace(self, situation: Situation) -> float:
+        """Return the speed of the centre [m/s] that is not exceeded."""
+        constants, wanted = situation.constants, self._settings.path_speed
+        largest = float(np.sqrt(2.0)) * constants.input_gain * self._robot.max_rotor_speed
+        largest *= constants.shell_radius
+        return min(wanted, largest) if wanted > 0.0 else largest
+
+    def _problem(self, path: Path, situation: Situation, pace: float) -> PathProblem:
+        """Return the motion that is sought, without what holds the momentum."""
+        robot, units = self._robot, self._settings.units
+        held = float(np.linalg.norm(situation.momentum))
+        limits = PathLimits(
+            max(robot.max_rotor_speed - held, 0.1 * robot.max_rotor_speed),
+            min(robot.max_rotor_acceleration, situation.plant.acceleration), pace,
+            _SPACING * units.time,
+        )
+        speeds = situation.speeds
+        if held:
+            speeds = speeds - rest_speeds(situation.momentum, situation.state[QUATERNION])
+        last = min(path.length, self.way + _HORIZON * units.time * pace)
+        return PathProblem(
+            path, self.way, last, situation.state, speeds, situation.constants.as_array(), limits
+        )
+
+    def _drop_passed(self, now: float) -> None:
+        """Drop the choices of crossings that have been passed."""
+        if self._motion is None:
+            return
+        begin, motion = self._motion
+        passed = int(np.interp(now - begin, motion.times, motion.crossings))
+        if passed:
+            kept = self._turns[min(passed, _CHOICES - 1) :]
+            self._turns = np.append(kept, np.full(_CHOICES - kept.size, kept[-1]))
+
+    def _plan(self, path: Path, situation: Situation, motion: PathMotion) -> Plan:
+        """Return the plan of a motion."""
+        robot, now, speeds = self._robot, situation.time, motion.speeds
+        constants, disturbance = situation.constants.as_array(), situation.disturbance
+        durations = np.diff(motion.times)
+        if len(motion.times) < 2:
+            return come_to_rest(situation, robot, "at the end of the path")
+        is_disturbed = not is_zero(situation.momentum, disturbance)
+        if is_disturbed:
+            still = roll_out(
+                without_momentum(situation.state), speeds, durations, constants
+            )
+            speeds = speeds + [
+                rest_speeds(after_slope(situation.momentum, disturbance, float(time)), quaternion)
+                for time, quaternion in zip(motion.times, still[:, QUATERNION], strict=True)
+            ]
+        speeds[0] = situation.speeds
+        hold = FirstOrderHold(now + motion.times, speeds).limited(
+            robot.max_rotor_speed, robot.max_rotor_acceleration
+        )
+        states = roll_out(
+            situation.state, hold.speeds, hold.durations, constants, disturbance=disturbance
+        )
+        left = path.length - float(motion.ways[-1])
+        pose = states[-1, POSE].copy()
+        pose[POSITION] = path.at(float(motion.ways[-1]))[:2]
+        leg = replace(
+            situation.course.legs[situation.leg],
+            goal=Goal(pose, Orientation.ANY, since=hold.end),
+            end=LegEnd.THROUGH if left > 0.0 else LegEnd.REST, way_left=left,
+            time_left=left * hold.durations.sum() / max(float(motion.ways[-1]) - self.way, 1e-9),
+        )
+        plan = Plan(
+            PlanStatus.SOLVED, hold, states, leg, error=0.0,
+            conditions=(Condition(Kind.PLANNED, f"along the path, {left:.2f} m after it"),),
+        )
+        if not is_disturbed:
+            return plan
+        rest = hold_momentum(
+            hold, states[-1, 6:], disturbance, states[-1, QUATERNION], robot.max_rotor_speed
+        )
+        return plan.spliced(rest, np.tile(states[-1], (rest.times.size, 1)))
+
+    def _up_to_obstacle(self, path: Path, situation: Situation, problem: PathProblem) -> Plan:
+        """Return the plan up to where the path leads too near to what is occupied."""
+        needed = needed_distance(situation, Margin.KEPT)
+        ahead = path.places[int(self.way / path.spacing) :]
+        free = np.flatnonzero(situation.floor.distances(ahead) < needed)
+        near = self.way + path.spacing * float(free[0]) if free.size else problem.last
+        reason = (
+            f"the path: {near:.2f} m from its start it leads nearer than {needed:.3g} m to what "
+            "is occupied"
+        )
+        for share in (1.0, 0.9, 0.7, 0.4, 0.2, 0.1):
+            last = self.way + share * (min(near, problem.last) - self.way)
+            motion = along_path(replace(problem, last=last, turns=self._turns))
+            plan = self._plan(path, situation, motion)
+            if last > self.way and is_clear(situation, plan.hold, Margin.KEPT):
+                self._motion = situation.time, motion
+                return plan.giving_up(reason) if free.size else plan
+        self._motion = None
+        return stop(situation, self._robot, "the path is blocked").giving_up(reason)

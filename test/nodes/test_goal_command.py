@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The goal command with real nodes: what it prints and its exit code."""
 
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -103,6 +104,18 @@ def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot
     assert printed.out.startswith("2 goals, the last one x 0 y 0 m")
     assert "goal 2 of 2: " in printed.err.splitlines()[-1]
     assert main(["0", "0", "--yaw", "90", "--degrees", *waiting]) == 0, "already there"
+
+
+def test_command_waits_for_the_end_of_a_path_and_prints_its_deviation(
+    robot, tmp_path, capfd
+) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
+    assert main(["--path", str(file), "--wait", "--timeout", str(PATIENCE)]) == 0
+    printed = capfd.readouterr()
+    assert printed.out.startswith("path of 3 places to x 0.6 y 0.6 m: reached after ")
+    assert re.search(r" mm, at most [\d.]+ mm off the path\n$", printed.out)
+    assert re.search(r" s left, +-?\d+ mm off the path, ", printed.err)
 
 
 def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_over(

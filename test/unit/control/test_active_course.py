@@ -8,6 +8,7 @@ import pytest
 from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector, upright_state
 
 POSES = [upright_state(x, 0.0, 0.0) for x in (1.0, 2.0, 3.0)]
@@ -47,6 +48,24 @@ def test_list_that_is_given_again_at_its_end_begins_again(course) -> None:
     assert course.take(given(*POSES, stamp=3), None, True)
     assert (course.active.index, course.active.stamp) == (0, 3)
     assert course.active.course.origin is not origin
+
+
+def test_other_path_to_the_same_end_replaces_one_that_is_given_again() -> None:
+    direct, round_about = [[0.0, 0.0], [2.0, 0.0]], [[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]]
+    course, taken = CourseInForce(), []
+    for number, places in enumerate((direct, direct, round_about, POSES[1][None, :2])):
+        paths = Path.through(np.array(places), 0.02, 0.3)
+        goals = Course.along(*paths) if paths else given(POSES[1]).course
+        taken.append(course.take(ActiveCourse(goals, number), 0.2 * number, False))
+    assert taken == [True, False, True, True]
+    assert not course.active.course.paths
+
+
+def test_path_that_is_given_again_at_its_end_begins_again() -> None:
+    course, paths = CourseInForce(), Path.through(np.array([[0.0, 0.0], [2.0, 0.0]]), 0.02, 0.3)
+    ends = [course.take(ActiveCourse(Course.along(*paths)), 0.0, at_end)
+            for at_end in (False, False, True)]
+    assert ends == [True, False, True]
 
 
 def test_single_goal_that_is_given_again_at_its_end_is_not_begun_again() -> None:

@@ -63,9 +63,9 @@ class CourseInForce:
     def take(self, given: ActiveCourse, time: float | None, is_at_its_end: bool) -> bool:
         """Put a course in force; return whether it is another one than before.
 
-        A list or path that is given again goes on, unless it `is_at_its_end`. A single goal that is given
-        again and again may differ a little each time, where the control time [s] is known for
-        which it is given.
+        A list or path that is given again goes on, unless it `is_at_its_end`. A single goal that
+        is given again and again may differ a little each time, where the control time [s] is known
+        for which it is given.
         """
         known, course = self.active, given.course
         if time is not None and len(course.legs) == 1 and not course.paths:

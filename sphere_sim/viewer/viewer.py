@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Viewer: shows the frames of a source and passes the requests of its page on."""
 
+import math
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,11 +17,13 @@ from sphere_sim.viewer.server import LocalServer
 from sphere_sim.viewer.source import (
     ChooseGoal,
     DragGoal,
+    DrawPath,
     FindSphere,
     Frame,
     PageRequest,
     Request,
     SetGoal,
+    SetPath,
     SetPoint,
     Source,
 )
@@ -49,7 +53,9 @@ class Viewer:
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
         self._panel_updated = 0.0
-        self._takes_clicks = False
+        self._takes_clicks = self._takes_drags = False
+        self._drawn: list[tuple[float, float]] = []
+        """Places of the path that is being drawn [m]."""
 
     @property
     def url(self) -> str:
@@ -68,6 +74,9 @@ class Viewer:
         if self._panel.sends_points != self._takes_clicks:
             self._takes_clicks = not self._takes_clicks
             self._scene.report_clicks(self._send_point if self._takes_clicks else None)
+        if self._panel.draws_paths != self._takes_drags:
+            self._takes_drags = not self._takes_drags
+            self._scene.report_drags(self._draw if self._takes_drags else None)
         frames = self._source.frames()
         for frame in frames:
             self._scene.extend_lines(frame)
@@ -76,7 +85,8 @@ class Viewer:
                 self._notify(notice)
         self._frame = frames[-1]
         with self._server.atomic():
-            self._scene.show(self._frame)
+            path = np.array(self._drawn) if self._drawn else self._frame.path
+            self._scene.show(replace(self._frame, path=path))
             self._show_goal()
         now = time.monotonic()
         if now > self._panel_updated + _PANEL_PERIOD:
@@ -123,6 +133,9 @@ class Viewer:
         if isinstance(request, FindSphere):
             self._scene.find(self._state())
             return
+        if isinstance(request, DrawPath):
+            self._extend(request)
+            return
         if gizmo is None:
             return
         if isinstance(request, ChooseGoal):
@@ -141,6 +154,22 @@ class Viewer:
 
     def _send_point(self, place: Vector) -> None:
         self._panel.put(SetPoint((float(place[0]), float(place[1]))))
+
+    def _draw(self, place: Vector | None, phase: str) -> None:
+        at = None if place is None else (float(place[0]), float(place[1]))
+        self._panel.put(DrawPath(at, phase == "start", phase == "end"))
+
+    def _extend(self, step: DrawPath) -> None:
+        """Extend the path that is drawn, and send it at its end."""
+        if step.begins:
+            self._drawn.clear()
+        # The steps of a hand that hesitates lead back and forth.
+        least, place = 0.1 * self._scene.cell, step.place
+        if place and not (self._drawn and math.dist(place, self._drawn[-1]) < least):
+            self._drawn.append(place)
+        if step.ended and self._drawn:
+            self._notify(self._source.handle(SetPath(tuple(self._drawn))))
+            self._drawn.clear()
 
     def _state(self) -> Vector:
         """Return the state of the sphere; the origin where it is unknown."""

@@ -88,7 +88,7 @@ class ControllerReports:
         self._published_index = self._active_goal = 0
         self._eta = node.create_publisher(Float64, "~/eta", 10)
         self._path = node.create_publisher(PathMessage, "~/path", LATCHED)
-        self._paths: tuple[Path, ...] = ()
+        self._paths: tuple[Path, ...] | None = None
         self._prediction = node.create_publisher(PathMessage, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
         self._name = status_name(node)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.quantity import counted
@@ -90,8 +91,8 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
         if given.then or given.position:
             parser.error("--path: given with goals, expected all places in the file")
         try:
-            places = read_places(given.path, MOST_PLACES)
-        except ScenarioFileError as error:
+            places = read_places(find_file(given.path), MOST_PLACES)
+        except (InvalidFileError, ScenarioFileError) as error:
             parser.error(str(error))
         return GoalRequest(
             (make_state(places[-1], _UPRIGHT),), True, given.timeout, given.wait,

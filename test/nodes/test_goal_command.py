@@ -115,7 +115,7 @@ def test_command_waits_for_the_end_of_a_path_and_prints_its_deviation(
     printed = capfd.readouterr()
     assert printed.out.startswith("path of 3 places to x 0.6 y 0.6 m: reached after ")
     assert re.search(r" mm, at most [\d.]+ mm off the path\n$", printed.out)
-    assert re.search(r" s left, +-?\d+ mm off the path, ", printed.err)
+    assert re.search(r" s left, +[\d.]+ mm off the path, ", printed.err)
 
 
 def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_over(

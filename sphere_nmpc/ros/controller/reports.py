@@ -98,6 +98,7 @@ class ControllerReports:
         self._plan_message = Kind.NO_POSE.value
         self._status_at = perf_counter()
         self._publish_arrival()
+        self._publish_path()
 
     def goal(self, stamp: int, is_new: bool = True) -> None:
         """Publish the goal that is aimed at from now on, `stamp` [ns]; the next status is due.
@@ -110,9 +111,9 @@ class ControllerReports:
             self._goal.publish(
                 pose_to_ros(active.goal.pose, stamp, self._robot.shell_radius, self._frame)
             )
-        self._publish_path()
         self._last_status = (float("-inf"), self._last_status[1])
         if is_new:
+            self._publish_path()
             self._is_outdated, self._warnings = True, ()
         self._publish_arrival()
 

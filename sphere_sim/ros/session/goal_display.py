@@ -78,8 +78,8 @@ def _left(progress: GoalReport) -> str:
     """Return what is left of way and time, and the deviation, in a text of constant length."""
     which = f"goal {progress.index + 1} of {progress.count}: " if progress.count > 1 else ""
     path, time = progress.distance_left, progress.time_left
-    off = progress.deviation
-    told = f", {_number(1e3 * off, 4, 0)} mm off the path" if math.isfinite(off) else ""
+    off = 1e3 * abs(progress.deviation)
+    told = f", {_number(off, 5, 1)} mm off the path" if math.isfinite(off) else ""
     return f"{which}{_number(path, 6, 2)} m, {_number(time, 5, 1)} s left{told}"
 
 

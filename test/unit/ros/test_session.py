@@ -70,7 +70,7 @@ def test_path_is_read_from_a_file_and_its_deviation_is_shown(tmp_path, capsys) -
     with GoalDisplay() as display:
         for deviation in (0.004, -0.0125, math.nan):
             display.update(GoalReport("1.0", 0, 1, "m", time_left=1.0, deviation=deviation))
-    assert capsys.readouterr().err == "     – m,   1.0 s left,    4 mm off the path, m\n"
+    assert capsys.readouterr().err == "     – m,   1.0 s left,   4.0 mm off the path, m\n"
     assert display.largest_deviation == 0.0125
 
 

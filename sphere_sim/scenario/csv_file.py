@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario files: CSV in UTF-8 with a header and one row for each run, columns in any order.
 
-Files of places are read here, too; see `read_places`.
-
 ``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal. ``seed`` is optional;
 by default it is the number of the row, counted from 0. ``push_x, push_y, push_time`` are a push,
 and columns named like settings of the disturbances, such as ``slope``, have values for the run;

@@ -3,8 +3,6 @@
 """What lies on the ground of the scene: floor, world axes, paths and plan; and growing lines."""
 
 from collections import deque
-from collections.abc import Callable, Coroutine
-from typing import Any
 
 import numpy as np
 import viser
@@ -40,7 +38,8 @@ class Ground:
         self.size = size
         self.cell = grid_cell(size)
         """Spacing of the grid [m]."""
-        self._floor, self._plane = _add_floor(scene, self.cell)
+        self._floor, self.plane = _add_floor(scene, self.cell)
+        """Frame of the floor, and its surface."""
         scene.add_frame(
             "/world", axes_length=0.25 / 0.3 * size, axes_radius=0.008 / 0.3 * size,
             origin_radius=0.04 * size, position=(0.0, 0.0, _ON_FLOOR * size),
@@ -64,12 +63,6 @@ class Ground:
     def covers(self, position: Vector) -> bool:
         """Return whether a position, shape (2,) [m], is on the floor that is drawn."""
         return bool(np.all(np.abs(position - self._floor.position[:2]) <= _CELLS * self.cell))
-
-    def report_drags(self, on_drag: Callable[[Any], Coroutine[Any, Any, None]] | None) -> None:
-        """Call a function with each event of a drag on the floor; None ends this."""
-        self._plane.remove_drag_callback()
-        if on_drag is not None:
-            self._plane.on_drag(on_drag)
 
     def clear_path(self) -> None:
         """Delete the path."""

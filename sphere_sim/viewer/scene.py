@@ -3,7 +3,7 @@
 """Three-dimensional scene: created once, then only poses and new points of lines are sent."""
 
 import math
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ class Scene:
         self.radius = DEFAULT_RADIUS
         """Radius of the sphere [m]; the default one before the first frame with a state."""
         self._ground = Ground(self._scene, self.radius)
-        self._on_drag: Callable[[Any], Coroutine[Any, Any, None]] | None = None
+        self._on_drag: Callable[[Vector | None, str], object] | None = None
         self._walls = Walls(self._scene)
         self._look_from_the_start()
 
@@ -124,17 +124,18 @@ class Scene:
         And with the place, shape (2,) [m], None beside the floor. Otherwise as `report_clicks`,
         but a drag on the floor does not turn the view meanwhile.
         """
-        self._on_drag = None
-        if on_drag is not None:
+        self._on_drag = on_drag
+        self._ground.plane.remove_drag_callback()
+        if on_drag is None:
+            return
 
-            async def report(event: viser.SceneNodeDragEvent[Any]) -> None:
-                camera = np.array(event.client.camera.position)
-                place = on_floor(camera, np.array(event.end_position) - camera)
-                is_there = place is not None and self._ground.covers(place)
-                on_drag(place if is_there else None, event.phase)
+        async def report(event: viser.SceneNodeDragEvent[Any]) -> None:
+            camera = np.array(event.client.camera.position)
+            place = on_floor(camera, np.array(event.end_position) - camera)
+            is_there = place is not None and self._ground.covers(place)
+            on_drag(place if is_there else None, event.phase)
 
-            self._on_drag = report
-        self._ground.report_drags(self._on_drag)
+        self._ground.plane.on_drag(report)
 
     def look_at(self, places: Vector) -> None:
         """Set the initial view of pages opened from now on to these places, shape (n, 2) [m].
@@ -173,7 +174,7 @@ class Scene:
         if size != self._ground.size:
             self._ground.clear_path()
             self._ground = Ground(self._scene, size)
-            self._ground.report_drags(self._on_drag)
+            self.report_drags(self._on_drag)
 
     def _look(self, at: Vector, distance: float, camera: Any) -> None:
         """Point a camera at a place, shape (2,) [m], from a distance [m]."""

@@ -243,18 +243,6 @@ class DragGoal:
 
 
 @dataclass(frozen=True)
-class DrawPath:
-    """Step of a drag on the floor, to a place (x, y) [m] or beside it (None).
-
-    The first one `begins` a path, and the last one has `ended`.
-    """
-
-    place: tuple[float, float] | None
-    begins: bool = False
-    ended: bool = False
-
-
-@dataclass(frozen=True)
 class SendGoal:
     """Request to send the goal on the page to the source."""
 
@@ -264,7 +252,7 @@ class FindSphere:
     """Request to point the cameras at the sphere."""
 
 
-PageRequest = Request | ChooseGoal | DragGoal | DrawPath | SendGoal | FindSphere
+PageRequest = Request | ChooseGoal | DragGoal | SendGoal | FindSphere
 """Request from the page: to the viewer, or to its source."""
 
 

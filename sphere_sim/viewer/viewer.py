@@ -17,7 +17,6 @@ from sphere_sim.viewer.server import LocalServer
 from sphere_sim.viewer.source import (
     ChooseGoal,
     DragGoal,
-    DrawPath,
     FindSphere,
     Frame,
     PageRequest,
@@ -37,7 +36,8 @@ _PANEL_PERIOD = 0.2
 class Viewer:
     """Page that shows the frames of a source, without any part in the control loop.
 
-    Everything happens in `tick`, except the server's callbacks, which only queue requests.
+    Everything happens in `tick`, except the server's callbacks, which only queue requests, and
+    collect the places of a path that is drawn.
 
     The source is `live`, or else a recording; the port is one of this machine.
     """
@@ -133,9 +133,6 @@ class Viewer:
         if isinstance(request, FindSphere):
             self._scene.find(self._state())
             return
-        if isinstance(request, DrawPath):
-            self._extend(request)
-            return
         if gizmo is None:
             return
         if isinstance(request, ChooseGoal):
@@ -156,20 +153,16 @@ class Viewer:
         self._panel.put(SetPoint((float(place[0]), float(place[1]))))
 
     def _draw(self, place: Vector | None, phase: str) -> None:
-        at = None if place is None else (float(place[0]), float(place[1]))
-        self._panel.put(DrawPath(at, phase == "start", phase == "end"))
-
-    def _extend(self, step: DrawPath) -> None:
-        """Extend the path that is drawn, and send it at its end."""
-        if step.begins:
-            self._drawn.clear()
-        # The steps of a hand that hesitates lead back and forth.
-        least, place = 0.1 * self._scene.cell, step.place
-        if place and not (self._drawn and math.dist(place, self._drawn[-1]) < least):
-            self._drawn.append(place)
-        if step.ended and self._drawn:
-            self._notify(self._source.handle(SetPath(tuple(self._drawn))))
-            self._drawn.clear()
+        """Extend the path that is drawn; at its end request it."""
+        if phase == "start":
+            self._drawn = []
+        # Steps of a hand that hesitates lead back and forth.
+        least = 0.1 * self._scene.cell
+        if place is not None and not (self._drawn and math.dist(place, self._drawn[-1]) < least):
+            self._drawn.append((float(place[0]), float(place[1])))
+        if phase == "end" and self._drawn:
+            self._panel.put(SetPath(tuple(self._drawn)))
+            self._drawn = []
 
     def _state(self) -> Vector:
         """Return the state of the sphere; the origin where it is unknown."""

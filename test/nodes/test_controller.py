@@ -426,7 +426,7 @@ def path_of(*places: tuple[float, float], frame: str = "") -> Path:
     return path
 
 
-def test_path_is_followed_shown_and_replaced_by_a_goal(robot, capfd) -> None:
+def test_path_is_followed_and_shown_and_one_without_a_length_is_a_place(robot, capfd) -> None:
     shown = robot.graph.collect(Path, "controller/path", LATCHED)
     x, y = CASE.start[:2].tolist()
     corner = path_of((x, y), (x + 1.0, y), (x + 1.0, y + 1.0))
@@ -454,8 +454,9 @@ def test_path_is_followed_shown_and_replaced_by_a_goal(robot, capfd) -> None:
         assert robot.node.set_parameters([given])[0].successful
         robot.send("path", there_and_back)
         robot.graph.until(lambda legs=legs: robot.status()["goal_count"] == legs)
-    robot.send_goal()
+    robot.send("path", path_of((1.0, 2.0), (1.0, 2.0)))
     robot.graph.until(lambda: not shown[-1].poses)
+    assert str(robot.node.controller.active.goal) == "[1.0, 2.0], position only"
 
 
 @pytest.mark.parametrize(("path", "told"), [
@@ -475,13 +476,6 @@ def test_path_that_cannot_be_followed_is_refused(robot, capfd, path, told) -> No
     robot.graph.until(is_told)
     assert robot.node.controller.active is None
     assert printed.count("the goal in force stays") == 1
-
-
-def test_path_of_one_place_is_a_goal_there_with_any_orientation(robot) -> None:
-    robot.send("path", path_of((1.0, 2.0), (1.0, 2.0)))
-    robot.graph.until(lambda: robot.node.controller.active)
-    assert str(robot.node.controller.active.goal) == "[1.0, 2.0], position only"
-    assert not robot.node.controller.active.course.paths
 
 
 def test_status_and_diagnostics_are_published_while_time_stands_still(begun) -> None:

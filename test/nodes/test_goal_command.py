@@ -89,7 +89,9 @@ def enable(data: bool) -> None:
         assert graph.call(SetBool, "controller/enable", SetBool.Request(data=data)).success
 
 
-def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot, capfd) -> None:
+def test_command_waits_for_the_arrival_of_a_pose_a_point_several_goals_and_a_path(
+    robot, tmp_path, capfd
+) -> None:
     waiting = ("--wait", "--timeout", str(PATIENCE))
     assert main(["0.3", "0.2", *waiting]) == 0
     printed = capfd.readouterr()
@@ -104,17 +106,10 @@ def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot
     assert printed.out.startswith("2 goals, the last one x 0 y 0 m")
     assert "goal 2 of 2: " in printed.err.splitlines()[-1]
     assert main(["0", "0", "--yaw", "90", "--degrees", *waiting]) == 0, "already there"
-
-
-def test_command_waits_for_the_end_of_a_path_and_prints_its_deviation(
-    robot, tmp_path, capfd
-) -> None:
-    file = tmp_path / "path.csv"
-    file.write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
-    assert main(["--path", str(file), "--wait", "--timeout", str(PATIENCE)]) == 0
+    (tmp_path / "path.csv").write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
+    assert main(["--path", str(tmp_path / "path.csv"), *waiting]) == 0
     printed = capfd.readouterr()
-    assert printed.out.startswith("path of 3 places to x 0.6 y 0.6 m: reached after ")
-    assert re.search(r" mm, at most [\d.]+ mm off the path\n$", printed.out)
+    assert re.search(r"y 0.6 m: reached after .* mm, at most [\d.]+ mm off the path\n", printed.out)
     assert re.search(r" s left, +[\d.]+ mm off the path, ", printed.err)
 
 

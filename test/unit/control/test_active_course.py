@@ -50,22 +50,16 @@ def test_list_that_is_given_again_at_its_end_begins_again(course) -> None:
     assert course.active.course.origin is not origin
 
 
-def test_other_path_to_the_same_end_replaces_one_that_is_given_again() -> None:
+def test_path_that_is_given_again_is_begun_again_at_its_end_and_replaced_by_another_one() -> None:
     direct, round_about = [[0.0, 0.0], [2.0, 0.0]], [[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]]
     course, taken = CourseInForce(), []
-    for number, places in enumerate((direct, direct, round_about, POSES[1][None, :2])):
+    for number, (places, at_end) in enumerate(
+        [(direct, False), (direct, False), (direct, True), (round_about, False)]
+    ):
         paths = Path.through(np.array(places), 0.02, 0.3)
-        goals = Course.along(*paths) if paths else given(POSES[1]).course
-        taken.append(course.take(ActiveCourse(goals, number), 0.2 * number, False))
+        taken.append(course.take(ActiveCourse(Course.along(*paths)), 0.2 * number, at_end))
     assert taken == [True, False, True, True]
-    assert not course.active.course.paths
-
-
-def test_path_that_is_given_again_at_its_end_begins_again() -> None:
-    course, paths = CourseInForce(), Path.through(np.array([[0.0, 0.0], [2.0, 0.0]]), 0.02, 0.3)
-    ends = [course.take(ActiveCourse(Course.along(*paths)), 0.0, at_end)
-            for at_end in (False, False, True)]
-    assert ends == [True, False, True]
+    assert course.take(given(POSES[1]), 0.8, False) and not course.active.course.paths
 
 
 def test_single_goal_that_is_given_again_at_its_end_is_not_begun_again() -> None:

@@ -26,7 +26,6 @@ from sphere_sim.viewer.source import (
     Capabilities,
     ChooseGoal,
     DragGoal,
-    DrawPath,
     Frame,
     Pause,
     SendGoal,
@@ -101,12 +100,12 @@ def test_path_is_sent_when_its_drawing_ends_and_the_one_in_force_is_shown(
     line = viewer._scene._ground._followed
     show(at(0.0, 0.0, path=np.array([[0.0, 0.0], [1.0, 0.0]])))
     assert line.visible and line.points.shape == (1, 2, 3)
-    for step in (DrawPath((1.0, 0.0), begins=True), DrawPath((1.02, 0.0)), DrawPath(None),
-                 DrawPath((2.0, 1.0)), DrawPath((3.0, 1.0))):
-        viewer._panel.put(step)
+    for place, phase in (((1.0, 0.0), "start"), ((1.02, 0.0), ""), (None, ""), ((2.0, 1.0), ""),
+                         ((3.0, 1.0), "")):
+        viewer._draw(place, phase)
     viewer.tick()
     assert script.requests == [] and line.points.shape == (2, 2, 3)
-    viewer._panel.put(DrawPath(None, ended=True))
+    viewer._draw(None, "end")
     viewer.tick()
     assert script.requests == [SetPath(((1.0, 0.0), (2.0, 1.0), (3.0, 1.0)))]
     progress = GoalReport("1.0", 0, 1, time_left=4.0, distance_left=2.5, deviation=-0.012)

@@ -109,7 +109,7 @@ def test_command_waits_for_the_arrival_of_a_pose_a_point_several_goals_and_a_pat
     (tmp_path / "path.csv").write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
     assert main(["--path", str(tmp_path / "path.csv"), *waiting]) == 0
     printed = capfd.readouterr()
-    assert re.search(r"y 0.6 m: reached after .* mm, at most [\d.]+ mm off the path\n", printed.out)
+    assert re.search(r"y 0.6 m: reached after .* mm, at most [\d.]+ mm off the path", printed.out)
     assert re.search(r" s left, +[\d.]+ mm off the path, ", printed.err)
 
 

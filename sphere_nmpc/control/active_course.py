@@ -8,7 +8,6 @@ from functools import cached_property
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.model.course import Course, Leg
 from sphere_nmpc.model.goal import Goal
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +37,6 @@ class ActiveCourse:
     def goal(self) -> Goal:
         """The goal that is aimed at."""
         return self.course.legs[self.index].goal
-
-    def may_be_reached(self, plan: Plan) -> bool:
-        """Return whether a goal is reached that the sphere is at: that of a path only at its end.
-
-        A path may lead by its end.
-        """
-        return self.leg.follows is None or plan.status is PlanStatus.HOLDING
 
     @cached_property
     def is_last(self) -> bool:

@@ -474,7 +474,7 @@ class Controller:
         settings = self._settings
         away = relative_error(decision.state, goal, settings)
         if (self._is_refused and decision.solved) or (
-            active and not (active.is_last and active.may_be_reached(plan))
+            active and not (active.is_last and self._has_followed(active, time))
         ):
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
         reached = self._arrival.update(time, away, settings.period)
@@ -501,7 +501,7 @@ class Controller:
         state, settings, goal = estimate.state, self._settings, active.goal
         while not (active.is_last or self._is_refused):
             away = relative_error(state, goal.nearest(state, time), settings)
-            if before is not None and not active.may_be_reached(before.plan):
+            if not self._has_followed(active, time):
                 break
             if not away < 1.0:
                 if before is None or not before.has_passed(active.course, active.index, time):
@@ -513,6 +513,10 @@ class Controller:
             active = cast(ActiveCourse, self._course.at(time))
             goal, before = active.goal, None
         return active
+
+    def _has_followed(self, active: ActiveCourse, time: float) -> bool:
+        """Return whether the sphere is beyond the path of a leg, by whose end it may lead."""
+        return self._planner.paths.has_followed(active.course, active.index, time)
 
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self._estimator

@@ -54,19 +54,19 @@ class Planner:
         self._prepared: tuple[ControllerSettings, Strategy] | None = None
         """A strategy that was made for other settings, which are not in force yet."""
         self.strategy = strategy or self._make()
-        """The strategy in use, for legs that do not follow a path."""
+        """The strategy in use, but along paths."""
         self.paths = PathFollowing(settings, robot)
-        """What plans legs that follow one."""
+        """What plans along paths."""
         self._follows = False
         self.in_force: InForce | None = None
         """The newest plan, with what it was made for; None after a decision without one."""
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan of the strategy; what it raises is for the caller to record."""
-        follows = situation.course.legs[situation.leg].follows is not None
-        if follows is not self._follows:
-            self._follows = follows
-            self.reset()  # what it searches for is not needed, or was for another course
+        follows = self.paths.leads(situation)
+        if follows and not self._follows:
+            self.reset()  # what it searches for is not needed
+        self._follows = follows
         return plan_of(self.paths if follows else self.strategy, situation, self._robot)
 
     def reset(self) -> None:

@@ -6,20 +6,20 @@ Without momentum the motion depends on the angles by which the rotors turn alone
 path may be followed at any pace. The law is written for a nominal one of Rs in a unit of time. Its
 rotor speeds are the least squares of
 
-    V(q) u = v,   rho w_3(u) = rho (kappa g / r3 + K_psi (chi - chi_d)),
+    V(q) u = v / (1 + rho x / rho_0),   rho w_3(u) = rho (kappa / r3 + K_psi (chi - chi_d)),
 
-v = g t + K e the wanted velocity with the tangent t and the curvature kappa of the path and the
-error e of the centre, w_3 the spin about the vertical. Where the body's z axis is not horizontal,
-V is regular, and the path is followed exactly. On the circle where it is horizontal, Gamma, the
-sphere rolls along the axis alone: there chi, the angle of the path from it, has to be small, and
-the second row turns the sphere to what it is wanted to be, chi_d. It weighs
+v = t / (1 + |e|^2 / e_0^2) + K e the wanted velocity with the tangent t and the curvature kappa of
+the path and the error e of the centre, w_3 the spin about the vertical. Where the body's z axis is
+not horizontal, V is regular, and the path is followed exactly. On the circle where it is, Gamma,
+the sphere rolls along the axis alone: there chi, the angle of v from it, has to be small, and the
+second row turns the sphere to what it is wanted to be, chi_d. It weighs
 
     rho = rho_0 exp(-(tan phi / w)^2 (1 + x)),   x = ((chi - chi_d) / chi_0)^2
 
 at the latitude phi of the contact point: where chi is far from what it is wanted to be, the path
-is followed exactly up to nearer to Gamma, and slower, by g = 1 / ((1 + rho x / rho_0) (1 + |e|^2 /
-e_0^2)). Away from Gamma the heading follows w_n cos(phi) / |sin phi|^p = C on a straight line, of
-which any C leads on from Gamma: it is chosen, and chi_d is the heading that leads to it.
+is followed exactly up to nearer to Gamma, and slower. Away from Gamma the heading follows
+w_n cos(phi) / |sin phi|^p = C on a straight line, of which any C leads on from Gamma: it is
+chosen, and chi_d is the heading that leads to it.
 """
 
 import casadi as ca
@@ -38,6 +38,8 @@ _WIDTH = 0.25
 """w: tangent of the latitude within which the spin is weighed."""
 _HEADING = 0.2
 """chi_0: error of the heading [rad] that is large."""
+_NEAR = 0.05
+"""Least e_0 [Rs]."""
 _LARGEST_OFFSET = 0.7
 """Largest chi_d [rad]."""
 LAW_SIZES = {"quaternion": 4, "place": 2, "point": 4, "given": 3, "p": 4}
@@ -48,7 +50,7 @@ def path_law(
     quaternion: Expression, place: Expression, point: Expression, given: Expression,
     p: Expression,
 ) -> Expression:
-    """Return [u_1, u_2, g, tan phi, speed] at the nominal pace, shape (5,).
+    """Return [u_1, u_2, g, speed, tan phi] at the nominal pace, shape (5,).
 
     Speeds of rotors are in rad, that of progress g and of the centre in Rs, each a unit of time.
 
@@ -70,8 +72,14 @@ def path_law(
     axis = rotation_matrix(quaternion)[:, 2]
     level = ca.sqrt(axis[0] ** 2 + axis[1] ** 2 + 1e-18)
     tangent = axis[2] / level
-    ahead = ca.vertcat(ca.cos(point[2]), ca.sin(point[2]))
-    bend = point[3] * radius
+    away = (point[:2] - place) / radius
+    distance = ca.sqrt(ca.dot(away, away) + 1e-18)
+    pace = given[1] / (1 + (distance * radius / ca.fmax(given[2], _NEAR * radius)) ** 2)
+    velocity = pace * ca.vertcat(ca.cos(point[2]), ca.sin(point[2]))
+    velocity += ca.fmin(_GAIN, 1 / distance) * away
+    speed = ca.sqrt(ca.dot(velocity, velocity) + 1e-18)
+    ahead = pace * ca.vertcat(ca.cos(point[2]), ca.sin(point[2])) + (1 - pace) * away / distance
+    bend = point[3] * radius * pace
     along, across = ca.dot(axis[:2], ahead), axis[0] * ahead[1] - axis[1] * ahead[0]
     east = ca.if_else(along >= 0, 1.0, -1.0)
     power = 1 / (1 - r3)
@@ -83,14 +91,10 @@ def path_law(
     error = ca.atan2(east * across, east * along) - offset
     large = (error / _HEADING) ** 2
     near = ca.exp(-((tangent / _WIDTH) ** 2) * (1 + large))
-    away = (point[:2] - place) / radius
-    distance = ca.sqrt(ca.dot(away, away) + 1e-18)
-    pace = given[1] / (1 + near * large) / (1 + (distance * radius / given[2]) ** 2)
-    wanted = pace * ahead + ca.fmin(_GAIN, 1 / distance) * away
-    speed = ca.sqrt(ca.dot(wanted, wanted) + 1e-18)
-    wanted = wanted / ca.fmax(speed, 1.0)
+    slower = 1 / (1 + near * large)
     weight = _TURN_WEIGHT * near
-    spin = given[1] * (bend * pace / r3 + _TURN_GAIN * error)
+    spin = slower * bend / r3 + _TURN_GAIN * ca.fmin(speed, 1.0) * error
+    wanted = slower * velocity / ca.fmax(speed, 1.0)
     rows = [ca.vertcat(v, weight * c[2]) for v, c in zip(velocities, columns, strict=True)]
     right = ca.vertcat(wanted, weight * spin)
     a, b, c = (ca.dot(rows[i], rows[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -98,7 +102,7 @@ def path_law(
     u = ca.vertcat(c * first - b * second, a * second - b * first) / (a * c - b * b)
     # Rolling along a rotor's axis takes 1 / c1: more is slower.
     share = 1 / ca.fmax(1.0, gain * ca.fmax(ca.fabs(u[0]), ca.fabs(u[1])))
-    return ca.vertcat(share * u, share * pace, tangent, share * ca.fmax(speed, pace))
+    return ca.vertcat(share * u, share * slower * ca.vertcat(pace, speed), tangent)
 
 
 def path_law_function() -> ca.Function:

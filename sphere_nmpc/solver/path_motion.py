@@ -29,9 +29,11 @@ from sphere_nmpc.solver.native.library import library
 _STEP, _SHORTEST, _CHANGE, _ENDED = 0.01, 1.5e-4, 0.17, 3e-3
 """Longest and shortest step of the nominal motion [Rs], change of the rotors' speeds [over c1] by
 one, distance from the end of the path at which it ends [Rs]."""
+_ANGLE = 1e-4
+"""Angle by which the shell may turn less or more between two knots [rad]."""
 _CAPACITY = 3000
 """Steps at most."""
-_FIELDS = 8
+_FIELDS = 10
 _WORKSPACES = threading.local()
 
 
@@ -44,14 +46,11 @@ class PathLimits(NamedTuple):
         Of the rotors [rad/s, rad/s^2].
     pace : float
         Of the centre [m/s]; 0 for none.
-    spacing : float
-        Least time between two knots [s].
     """
 
     speed: float
     acceleration: float
     pace: float
-    spacing: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,8 @@ def along_path(problem: PathProblem) -> PathMotion:
     if solver is None:
         return _plain(problem)
     if not hasattr(_WORKSPACES, "steps"):
-        _WORKSPACES.steps, _WORKSPACES.knots = np.empty((_CAPACITY, _FIELDS)), np.empty((_CAPACITY, 5))
+        _WORKSPACES.steps = np.empty((_CAPACITY, _FIELDS))
+        _WORKSPACES.knots = np.empty((_CAPACITY, 5))
     knots: Vector = _WORKSPACES.knots
     # Named, so that they live until the call has ended.
     arrays = (
@@ -141,12 +141,14 @@ def _plain(problem: PathProblem) -> PathMotion:
     jump = problem.speeds - rates[0] * speeds[0]
     lost = max(2.0 * float(np.max(np.abs(jump))) / problem.limits.acceleration, 1e-9)
     speeds = rates[:, None] * speeds + np.maximum(0.0, 1.0 - times / lost)[:, None] * jump
-    kept, spacing = [0], problem.limits.spacing
-    for k in range(1, len(times) - 1):
-        if times[k] - times[kept[-1]] >= spacing and times[-1] - times[k] >= spacing:
+    kept = [0]
+    for k in range(1, len(times)):
+        part = slice(kept[-1], k + 2)
+        shares = (times[part] - times[part][0])[:, None] / (times[part][-1] - times[part][0])
+        off = speeds[part] - (1.0 - shares) * speeds[part][0] - shares * speeds[part][-1]
+        turned = float(np.max(np.abs(off))) * problem.constants[1] * np.ptp(times[part])
+        if k == len(times) - 1 or turned > _ANGLE:
             kept.append(k)
-    if len(times) > 1:
-        kept.append(len(times) - 1)
     return _motion(np.column_stack((times, speeds, ways, crossings))[kept])
 
 
@@ -164,7 +166,8 @@ def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
     here = law(way, pose)
     rows = [(tau, way, chosen)]
     laws = [here]
-    while len(rows) < _CAPACITY and way < problem.last:
+    last = problem.last if problem.last < path.length else math.inf
+    while len(rows) < _CAPACITY and way < last:
         if way >= path.length and math.hypot(*(end - pose[:2])) < _ENDED * radius:
             break
         step = min(2.0 * step, _STEP)
@@ -177,7 +180,7 @@ def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
                 break
             step *= 0.5
         pose, way, tau = _moved(pose, here, following, step, problem.constants), there, tau + step
-        chosen += int(here[3] * following[3] < 0.0)
+        chosen += int(here[4] * following[4] < 0.0)
         here = following
         rows.append((tau, way, chosen))
         laws.append(here)
@@ -191,7 +194,7 @@ def _fastest(problem: PathProblem, taus: Vector, laws: Vector) -> tuple[Vector, 
     speeds, steps = laws[:, :2], np.diff(taus)
     most = limits.speed / np.maximum(np.max(np.abs(speeds), axis=1), 1e-6)
     if limits.pace > 0.0:
-        most = np.minimum(most, limits.pace / (radius * np.maximum(laws[:, 4], 1e-9)))
+        most = np.minimum(most, limits.pace / (radius * np.maximum(laws[:, 3], 1e-9)))
     squares = most**2
     squares[-1] = 0.0
     a, b = 3.0 * speeds[1:] - speeds[:-1], 3.0 * speeds[:-1] - speeds[1:]

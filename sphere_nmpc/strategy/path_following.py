@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Planner of legs that follow a path, whatever the strategy for goals is.
+"""Planner along paths, whatever the strategy for goals is.
 
 A plan is the fastest motion along the next part of the path from the measured state, up to a stop
 on it, by `sphere_nmpc.solver.path_motion`: it brings the centre back to the path from beside it.
@@ -13,12 +13,13 @@ With momentum the rotors hold it along the motion besides; what is left, a turn 
 axis, is met by the next plan.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.model.course import LegEnd
+from sphere_nmpc.model.course import Course, LegEnd
 from sphere_nmpc.model.disturbance import after_slope, is_zero, rest_speeds
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
@@ -31,12 +32,10 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.rest import come_to_rest, hold_momentum, stop
+from sphere_nmpc.strategy.rest import hold_momentum, stop
 
 _HORIZON = 7.0
 """Time that is planned ahead at least, at the pace of the path [1 / (c1 u_max)]."""
-_SPACING = 0.05
-"""Least time between two knots of a plan [1 / (c1 u_max)]."""
 _WINDOW = 3.0
 """Length of the path ahead on which the sphere is looked for [Rs]."""
 _TRIES = 8
@@ -47,12 +46,16 @@ _LARGEST_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
 _LEAST_GAIN = 0.02
 """Time by which another choice has to be faster [1 / (c1 u_max)]."""
+_ARRIVED = 4e-3
+"""Distance from the end of a path [Rs] at which it has been followed, or `_DEVIATIONS` of the
+estimate's standard deviation."""
+_DEVIATIONS = 3.0
 _SAME = 0.05
 """Difference from the predicted state that is nothing new, over the tolerance of the path."""
 
 
 class PathFollowing:
-    """`Strategy` of the legs of a course that follow a path.
+    """Planner along the paths of a course; at the end of each the strategy for goals takes over.
 
     Parameters
     ----------
@@ -73,41 +76,45 @@ class PathFollowing:
         self._leg: tuple[object, int] | None = None
         self._turns: Vector = np.zeros(_CHOICES)
         self._motion: tuple[float, PathMotion] | None = None
-        self._holds = False
+        self._end = math.inf
+        """When the path has been followed [s]."""
         self._draw = np.random.default_rng(0)
 
     def change(self, settings: ControllerSettings) -> None:
         """Use other settings from the next plan on."""
         self._settings = settings
 
-    def plan(self, situation: Situation) -> Plan:
-        """Return the plan along the path of the leg, or a rest at its end."""
-        leg = situation.course.legs[situation.leg]
-        path, aimed = leg.follows, (situation.course.origin, situation.leg)
-        assert path is not None
+    def leads(self, situation: Situation) -> bool:
+        """Return whether the leg follows a path whose end has not been reached yet."""
+        path, aimed = _path_of(situation), (situation.course.origin, situation.leg)
+        if path is None:
+            return False
         if aimed != self._leg:
             self.reset()
             self._leg = aimed
         place, radius = situation.state[POSITION], situation.constants.shell_radius
-        first = self.way - radius
-        self.way = path.nearest(place, first, self.way + _WINDOW * radius)
-        until = situation.time + self._settings.period
-        self._holds = self._rests_at_end(path, situation)
-        if self._holds:
-            self._motion = None
-            rest = come_to_rest(situation, self._robot, "at the end of the path")
-            return replace(rest, until=until, tolerance=_SAME * path.tolerance)
-        plan = self._along(path, situation)
-        return replace(plan, until=until, tolerance=_SAME * path.tolerance)
-
-    def _rests_at_end(self, path: Path, situation: Situation) -> bool:
-        """Return whether the sphere is at the end of the path, as nearly as it is told."""
-        place, radius = situation.state[POSITION], situation.constants.shell_radius
+        first, last = self.way - radius, self.way + _WINDOW * radius
+        self.way = path.nearest(place, first, last)
         away = float(np.linalg.norm(place - path.places[-1]))
-        band = max(4e-3 * radius, 3.0 * situation.place_deviation)
-        if self._holds:
-            band = max(band, 0.5 * self._settings.tolerances[0])
-        return self.way >= path.length - max(band, path.spacing) and away <= band
+        band = max(_ARRIVED * radius, _DEVIATIONS * situation.place_deviation)
+        if self.way >= path.length - path.spacing and away <= band:
+            self._end = -math.inf
+        return situation.time < self._end
+
+    def has_followed(self, course: Course, leg: int, time: float) -> bool:
+        """Return whether the path of a leg has been followed at a time [s]; true without one."""
+        if course.legs[leg].follows is None:
+            return True
+        return self._leg == (course.origin, leg) and time >= self._end
+
+    def plan(self, situation: Situation) -> Plan:
+        """Return the plan along the path of the leg."""
+        path = _path_of(situation)
+        assert path is not None
+        plan = self._along(path, situation)
+        self._end = plan.end if plan.leg.end is LegEnd.REST else math.inf
+        until = min(situation.time + self._settings.period, self._end)
+        return replace(plan, until=until, tolerance=_SAME * path.tolerance)
 
     def _along(self, path: Path, situation: Situation) -> Plan:
         """Return the plan along the path."""
@@ -150,7 +157,6 @@ class PathFollowing:
         limits = PathLimits(
             max(robot.max_rotor_speed - held, 0.1 * robot.max_rotor_speed),
             min(robot.max_rotor_acceleration, situation.plant.acceleration), pace,
-            _SPACING * units.time,
         )
         speeds = situation.speeds
         if held:
@@ -175,8 +181,6 @@ class PathFollowing:
         robot, now, speeds = self._robot, situation.time, motion.speeds
         constants, disturbance = situation.constants.as_array(), situation.disturbance
         durations = np.diff(motion.times)
-        if len(motion.times) < 2:
-            return come_to_rest(situation, robot, "at the end of the path")
         is_disturbed = not is_zero(situation.momentum, disturbance)
         if is_disturbed:
             still = roll_out(
@@ -232,3 +236,8 @@ class PathFollowing:
                 return plan.giving_up(reason) if free.size else plan
         self._motion = None
         return stop(situation, self._robot, "the path is blocked").giving_up(reason)
+
+
+def _path_of(situation: Situation) -> Path | None:
+    """Return the path of the leg that is followed."""
+    return situation.course.legs[situation.leg].follows

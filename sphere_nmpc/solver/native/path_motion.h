@@ -6,10 +6,11 @@
 #define PATH_STEP 0.01 /* longest step of the nominal motion [Rs] */
 #define PATH_SHORTEST 1.5e-4 /* shortest one */
 #define PATH_CHANGE 0.17 /* change of a rotor's speed by a step [rad a Rs, over c1] */
+#define PATH_ANGLE 1e-4 /* by which the shell may turn less or more between two knots [rad] */
 #define PATH_ENDED 3e-3 /* distance from the end of the path at which the motion ends [Rs] */
 
 typedef struct {
-    double time, speeds[2], way, speed, crossings, squared_rate, at;
+    double time, speeds[2], way, speed, crossings, squared_rate, at, sent[2];
 } path_step;
 
 typedef struct {
@@ -56,15 +57,15 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
         here->time = count ? before->time + step : 0.0;
         memcpy(here->speeds, law, sizeof here->speeds);
         here->way = way;
-        here->speed = law[4];
+        here->speed = law[3];
         here->crossings = (double)chosen;
         count++;
-        if (count == capacity || way >= last)
+        if (count == capacity || (way >= last && last < length))
             break;
         if (way >= length && hypot(end[0] - pose[0], end[1] - pose[1]) < PATH_ENDED * radius)
             break;
         double moved[6], there, largest;
-        const double side = law[3];
+        const double side = law[4];
         step = fmin(2.0 * step, PATH_STEP);
         for (;; step *= 0.5) {
             there = fmin(way + radius * step * law[2], length);
@@ -81,7 +82,7 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
         memcpy(pose, moved, sizeof pose);
         memcpy(law, next, sizeof law);
         way = there;
-        if (side * law[3] < 0.0) {
+        if (side * law[4] < 0.0) {
             chosen++;
             turn = turns[chosen < choices ? chosen : choices - 1];
         }
@@ -156,8 +157,23 @@ static void fastest(path_step *steps, int64_t count, const double *limits, doubl
     }
 }
 
+/* Whether the speeds between steps `first` and `last` are nearly those of a straight line. */
+static int is_straight(const path_step *first, const path_step *last, double gain)
+{
+    const double whole = last->at - first->at;
+    for (const path_step *here = first + 1; here < last; here++) {
+        const double share = (here->at - first->at) / whole;
+        for (int i = 0; i < 2; i++) {
+            const double line = (1.0 - share) * first->sent[i] + share * last->sent[i];
+            if (fabs(here->sent[i] - line) * gain * whole > PATH_ANGLE)
+                return 0;
+        }
+    }
+    return 1;
+}
+
 /* Write the knots [time, u_1, u_2, way, crossings] of the fastest motion along a path; returns
- * their number. `limits` are [speed, acceleration, speed of the centre or 0, spacing of knots]. */
+ * their number. `limits` are [speed, acceleration, speed of the centre or 0]. */
 int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double way, double last,
                         const double *curve, const double *constants, const double *limits,
                         const double *pose, const double *speeds, const double *turns,
@@ -176,21 +192,20 @@ int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double w
         largest = fmax(largest, fabs(jump[i]));
     }
     /* What the speeds in force differ by is lost with half of the acceleration. */
-    const double lost = fmax(2.0 * largest / limits[1], 1e-9), until = steps[count - 1].at;
-    int64_t found = 0;
-    double before = -INFINITY;
-    for (int64_t k = 0; k < count; k++) {
-        const path_step *here = steps + k;
-        const int is_last = k == count - 1;
-        if (!is_last && (here->at - before < limits[3] || (k && until - here->at < limits[3])))
-            continue;
-        double *row = knots + 5 * found++;
+    const double lost = fmax(2.0 * largest / limits[1], 1e-9);
+    for (path_step *here = steps; here < steps + count; here++) {
         const double left = fmax(0.0, 1.0 - here->at / lost);
-        before = row[0] = here->at;
         for (int i = 0; i < 2; i++)
-            row[1 + i] = sqrt(here->squared_rate) * here->speeds[i] + left * jump[i];
-        row[3] = here->way;
-        row[4] = here->crossings;
+            here->sent[i] = sqrt(here->squared_rate) * here->speeds[i] + left * jump[i];
+    }
+    int64_t found = 0;
+    for (int64_t k = 0, before = 0; k < count; k++) {
+        const path_step *here = steps + k;
+        if (k && k < count - 1 && is_straight(steps + before, here + 1, constants[1]))
+            continue;
+        const double row[5] = {here->at, here->sent[0], here->sent[1], here->way, here->crossings};
+        memcpy(knots + 5 * found++, row, sizeof row);
+        before = k;
     }
     return found;
 }

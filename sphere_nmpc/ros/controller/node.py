@@ -315,8 +315,8 @@ class ControllerNode(ClockedNode):
         self._save_goal()
         number, paths = len(goals.course.legs), goals.course.paths
         several = f"first of {number}: " if number > 1 else ""
-        along = f"{sum(path.length for path in paths):.2f} m along a path to " if paths else ""
-        self._event_log.report("goal", f"{along}{several}{goals.goal}")
+        along = f"{paths[0].length:.2f} m along a path to " if paths else ""
+        self._event_log.report("goal", f"{several}{along}{goals.goal}")
 
     def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was_in_force = self.controller.cancel()

@@ -68,10 +68,13 @@ class Course:
         One or more.
     origin : object
         The same object for a course whose goals have moved since it was made.
+    paths : tuple of Path
+        The paths that its legs follow.
     """
 
     legs: tuple[Leg, ...]
     origin: object = field(default_factory=object, repr=False)
+    paths: tuple[Path, ...] = ()
 
     @classmethod
     def of(cls, *goals: Goal) -> "Course":
@@ -87,7 +90,7 @@ class Course:
             Leg(Goal(np.concatenate((path.places[-1], _ANY)), Orientation.ANY), follows=path)
             for path in paths
         ]
-        return cls((*legs, *(() if end is None else (Leg(end),))))
+        return cls((*legs, *(() if end is None else (Leg(end),))), paths=paths)
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -98,11 +101,11 @@ class Course:
         """Return the same course with another goal at the end of a leg, as when it has moved."""
         legs = self.legs
         leg = replace(legs[index], goal=goal)
-        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin)
+        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin, self.paths)
 
     def by_way_of(self, index: int, leg: Leg) -> "Course":
         """Return the same course with a leg put in front of the one with this index."""
-        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin)
+        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin, self.paths)
 
     def is_listed_in(self, other: "Course") -> bool:
         """Return whether another course has the same legs in the same order."""

@@ -62,7 +62,7 @@ Row = tuple[int, dict[str, str]]
 
 
 class ScenarioFileError(SphereNmpcError, ValueError):
-    """A scenario file, or its path, cannot be read or is invalid; lines are counted from 1."""
+    """A file of scenarios or places cannot be read or is invalid; lines are counted from 1."""
 
     exit_code = 2
 
@@ -195,7 +195,9 @@ def _path(path: Path, line: int, text: str, known: dict[Path, Vector]) -> GivenP
     try:
         if file not in known:
             most = MOST_FIELDS - sum(places.size for places in known.values())
-            known[file] = _places(file, most)
+            known[file] = read_places(file, most)
+        if np.max(np.abs(known[file] - known[file][0])) < SHORTEST_PATH:
+            raise ScenarioFileError(file, "one place", f"some {SHORTEST_PATH:g} m apart")
     except ScenarioFileError as error:
         if error.line is not None:
             raise
@@ -204,15 +206,17 @@ def _path(path: Path, line: int, text: str, known: dict[Path, Vector]) -> GivenP
     return GivenPath(known[file], file)
 
 
-def _places(path: Path, most: int) -> Vector:
-    """Return the places in a file of a path, of so many fields at most; shape (P, 2) [m]."""
+def read_places(path: Path, most: int) -> Vector:
+    """Return the places [m] in a file, of so many fields at most, shape (P, 2).
+
+    The columns are ``x`` and ``y``, in this order where there is no header. `ScenarioFileError` is
+    raised as by `read_scenarios`.
+    """
     with _opened(path) as file:
         places = np.array([
             [_number(path, line, name, fields[name], FARTHEST) for name in PLACE_COLUMNS]
             for line, fields in _rows(path, file, lambda _: PLACE_COLUMNS, "place", most)
         ])
-    if np.max(np.abs(places - places[0])) < SHORTEST_PATH:
-        raise ScenarioFileError(path, "one place", f"some {SHORTEST_PATH:g} m apart")
     places.flags.writeable = False
     return places
 

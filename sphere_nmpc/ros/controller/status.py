@@ -21,12 +21,14 @@ from sphere_nmpc.model.disturbance import (
     time_to_saturation,
 )
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path import Tracking
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.settings import ControllerSettings
 
 _EVALUATED_EVERY = 0.5
 """Control time between two evaluations of controllability and effort [s]; each takes 0.3 ms."""
+_NOT_FOLLOWED = Tracking(*[math.nan] * 5)
 _CONSTANTS = ("shell_radius_m", "c1", "r1", "r3")
 
 
@@ -153,12 +155,18 @@ class ControllerStatus:
         if decision is not None and decision.solved:
             way = decision.plan.way_left(time)
         total_left, total_way = controller.remaining(left, way)
+        tracking = controller.tracking() or _NOT_FOLLOWED
         return {
             "goal_speed": controller.goal_speed(time),
             "time_left_s": left,
             "distance_left_m": way,
             "total_time_left_s": total_left,
             "total_distance_left_m": total_way,
+            "path_length_m": tracking.way + tracking.way_left,
+            "path_left_m": tracking.way_left,
+            "path_deviation_m": tracking.deviation,
+            "path_heading_error_rad": tracking.heading_error,
+            "path_speed_m_s": tracking.speed,
             "plans": controller.plans,
         }
 

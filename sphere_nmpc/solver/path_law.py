@@ -40,8 +40,6 @@ _HEADING = 0.2
 """chi_0: error of the heading [rad] that is large."""
 _NEAR = 0.05
 """Least e_0 [Rs]."""
-_LARGEST_OFFSET = 0.7
-"""Largest chi_d [rad]."""
 LAW_SIZES = {"quaternion": 4, "place": 2, "point": 4, "given": 3, "p": 4}
 """Arguments of `path_law`."""
 
@@ -87,7 +85,6 @@ def path_law(
         bend * ca.fmin(ca.fmax(tangent, -1.0), 1.0) / (power - 1)
         - given[0] * ca.fabs(axis[2]) ** power / level
     )
-    offset = ca.fmin(ca.fmax(offset, -_LARGEST_OFFSET), _LARGEST_OFFSET)
     error = ca.atan2(east * across, east * along) - offset
     large = (error / _HEADING) ** 2
     near = ca.exp(-((tangent / _WIDTH) ** 2) * (1 + large))

@@ -47,12 +47,9 @@ _LARGEST_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
 _LEAST_GAIN = 0.01
 """Time by which another choice has to be faster [s; for the robot of Table 1]."""
-_LARGEST_JUMP = 0.01
-"""Difference of the speeds in force from those that a choice begins with, over the limit."""
-_ARRIVED = 4e-3
-"""Distance from the end of a path [Rs] at which it has been followed, or `_DEVIATIONS` of the
-estimate's standard deviation."""
 _DEVIATIONS = 3.0
+"""Standard deviations of the estimate by which the sphere may be away from the end of a path that
+has been followed: where poses are noisy it would be corrected again and again."""
 _SAME = 0.05
 """Difference from the predicted state that is nothing new, over the tolerance of the path."""
 
@@ -100,8 +97,8 @@ class PathFollowing:
         first, last = self.way - radius, self.way + _WINDOW * radius
         self.way = path.nearest(place, first, last)
         away = float(np.linalg.norm(place - path.places[-1]))
-        band = max(_ARRIVED * radius, _DEVIATIONS * situation.place_deviation)
-        if self.way >= path.length - path.spacing and away <= band:
+        near = away <= _DEVIATIONS * situation.place_deviation
+        if near and self.way >= path.length - path.spacing:
             self._end = -math.inf
         return situation.time < self._end
 
@@ -131,7 +128,6 @@ class PathFollowing:
             return float(motion.times[-1] + (problem.last - motion.ways[-1]) / pace)
 
         least = (problem.last - self.way) / pace
-        allowed = _LARGEST_JUMP * self._robot.max_rotor_speed
         for _ in range(max(1, round(_TRIES * period / self._settings.period))):
             if cost(best) < least + 2.0 * _LEAST_GAIN * units.time:
                 break
@@ -139,9 +135,9 @@ class PathFollowing:
             begin = int(self._draw.integers(_CHOICES))
             turns[begin:] = self._draw.uniform(-_LARGEST_CHOICE, _LARGEST_CHOICE, _CHOICES - begin)
             motion = along_path(replace(problem, turns=turns))
-            if motion.jump > max(best.jump, allowed):
-                continue  # it would have to begin slower, and leads by the end of the path
-            if cost(motion) < cost(best) - _LEAST_GAIN * units.time:
+            # One that would have to begin slower leads away from the path.
+            begins = motion.jump <= best.jump
+            if begins and cost(motion) < cost(best) - _LEAST_GAIN * units.time:
                 best, self._turns = motion, turns
         plan = self._plan(path, situation, best)
         if is_clear(situation, plan.hold, Margin.KEPT):

@@ -176,8 +176,9 @@ class Controller:
 
     def tracking(self) -> Tracking | None:
         """Return how the path is followed, by the newest pose; None where none is."""
-        active, newest = self._course.active, self._estimator.newest
+        active = self._course.active
         path = None if active is None else active.leg.follows
+        newest = None if path is None else self._estimator.newest
         if path is None or newest is None:
             return None
         way, place = self._planner.paths.way, newest[1][POSITION]
@@ -486,10 +487,10 @@ class Controller:
         )
         settings = self._settings
         away = relative_error(decision.state, goal, settings)
-        if (self._is_refused and decision.solved) or (
-            active and not (active.is_last and self._has_followed(active, time))
-        ):
+        if (self._is_refused and decision.solved) or (active and not active.is_last):
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
+        elif active is not None and active.leg.follows and not self._has_followed(active, time):
+            away = float("nan")
         reached = self._arrival.update(time, away, settings.period)
         arrived = reached and found is Kind.TRACKING.alone
         if goal is None or arrived or not decision.solved:
@@ -514,7 +515,7 @@ class Controller:
         state, settings, goal = estimate.state, self._settings, active.goal
         while not (active.is_last or self._is_refused):
             away = relative_error(state, goal.nearest(state, time), settings)
-            if not self._has_followed(active, time):
+            if active.leg.follows and not self._has_followed(active, time):
                 break
             if not away < 1.0:
                 if before is None or not before.has_passed(active.course, active.index, time):

@@ -63,7 +63,8 @@ class Planner:
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan of the strategy; what it raises is for the caller to record."""
-        follows = self.paths.leads(situation)
+        leg = situation.course.legs[situation.leg]
+        follows = leg.follows is not None and self.paths.leads(situation)
         if follows and not self._follows:
             self.reset()  # what it searches for is not needed
         self._follows = follows

@@ -85,11 +85,8 @@ class PathFollowing:
         self._settings = settings
 
     def leads(self, situation: Situation) -> bool:
-        """Return whether the leg follows a path whose end has not been reached yet."""
-        path = situation.course.legs[situation.leg].follows
-        aimed = situation.course.origin, situation.leg
-        if path is None:
-            return False
+        """Return whether the end of the path of the leg has not been reached yet."""
+        path, aimed = _path_of(situation), (situation.course.origin, situation.leg)
         if aimed != self._leg:
             self.reset()
             self._leg = aimed
@@ -103,14 +100,12 @@ class PathFollowing:
         return situation.time < self._end
 
     def has_followed(self, course: Course, leg: int, time: float) -> bool:
-        """Return whether the path of a leg has been followed at a time [s]; true without one."""
-        if course.legs[leg].follows is None:
-            return True
+        """Return whether the path of a leg has been followed at a time [s]."""
         return self._leg == (course.origin, leg) and time >= self._end
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan along the path of the leg."""
-        path = cast(Path, situation.course.legs[situation.leg].follows)
+        path = _path_of(situation)
         plan = self._along(path, situation)
         self._end = plan.end if plan.leg.end is LegEnd.REST else math.inf
         until = min(situation.time + self._settings.period, self._end)
@@ -236,3 +231,8 @@ class PathFollowing:
                 return plan.giving_up(reason) if free.size else plan
         self._motion = None
         return stop(situation, self._robot, "the path is blocked").giving_up(reason)
+
+
+def _path_of(situation: Situation) -> Path:
+    """Return the path of the leg that is followed."""
+    return cast(Path, situation.course.legs[situation.leg].follows)

@@ -28,16 +28,16 @@ from sphere_nmpc.model.dynamics import rolling, world_rate
 from sphere_nmpc.model.symbolic_rotation import Expression, rotation_matrix
 
 _GAIN = 4.0
-"""K: rate at which an error of the centre decays [1/Rs of the path]. The correction is not faster
+"""Rate K at which an error of the centre decays [1/Rs of the path]. The correction is not faster
 than the nominal pace."""
 _TURN_GAIN = 20.0
-"""K_psi: rate at which the heading turns to what is wanted [1/Rs of the path]."""
+"""Rate K_psi at which the heading turns to what is wanted [1/Rs of the path]."""
 _TURN_WEIGHT = 0.3
-"""rho_0: weight of the spin beside the velocity [Rs]."""
+"""Weight rho_0 of the spin beside the velocity [Rs]."""
 _WIDTH = 0.25
-"""w: tangent of the latitude within which the spin is weighed."""
+"""Tangent w of the latitude within which the spin is weighed."""
 _HEADING = 0.2
-"""chi_0: error of the heading [rad] that is large."""
+"""Error chi_0 of the heading [rad] that is large."""
 _NEAR = 0.05
 """Least e_0 [Rs]."""
 LAW_SIZES = {"quaternion": 4, "place": 2, "point": 4, "given": 3, "p": 4}

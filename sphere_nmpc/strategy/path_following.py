@@ -34,6 +34,7 @@ from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum, stop
+from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _HORIZON = 4.0
 """Time that is planned ahead, at the pace of the path [s; for the robot of Table 1]."""
@@ -142,10 +143,8 @@ class PathFollowing:
 
     def _pace(self, situation: Situation) -> float:
         """Return the speed of the centre [m/s] that is not exceeded."""
-        constants, wanted = situation.constants, self._settings.path_speed
-        largest = float(np.sqrt(2.0)) * constants.input_gain * self._robot.max_rotor_speed
-        largest *= constants.shell_radius
-        return min(wanted, largest) if wanted > 0.0 else largest
+        largest = SteadyRolling.of(situation.constants, self._robot.max_rotor_speed).speed
+        return min(self._settings.path_speed or largest, largest)
 
     def _problem(self, path: Path, situation: Situation, pace: float) -> PathProblem:
         """Return the motion that is sought, without what holds the momentum."""
@@ -180,9 +179,7 @@ class PathFollowing:
         durations = np.diff(motion.times)
         is_disturbed = not is_zero(situation.momentum, disturbance)
         if is_disturbed:
-            still = roll_out(
-                without_momentum(situation.state), speeds, durations, constants
-            )
+            still = roll_out(without_momentum(situation.state), speeds, durations, constants)
             speeds = speeds + [
                 rest_speeds(after_slope(situation.momentum, disturbance, float(time)), quaternion)
                 for time, quaternion in zip(motion.times, still[:, QUATERNION], strict=True)

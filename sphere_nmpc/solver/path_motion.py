@@ -16,7 +16,7 @@ Pham, IEEE Transactions on Robotics 34, 2018).
 
 import math
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ _ANGLE = 1e-4
 """Angle by which the shell may turn less or more between two knots [rad]."""
 _CAPACITY = 3000
 """Steps at most."""
-_FIELDS = 10
+_FIELDS = 9
 _WORKSPACES = threading.local()
 
 
@@ -72,8 +72,8 @@ class PathProblem:
         Lumped constants [Rs, c1, r1, r3].
     limits : PathLimits
         Limits.
-    turns : ndarray, shape (C,)
-        C of the law up to the first crossing of Gamma, after it, and so on; the last one stays.
+    turn : float
+        C of the law: on a straight line the motion has it after each crossing of Gamma.
     """
 
     path: Path
@@ -83,7 +83,7 @@ class PathProblem:
     speeds: Vector
     constants: Vector
     limits: PathLimits
-    turns: Vector = field(default_factory=lambda: np.zeros(1))
+    turn: float = 0.0
 
 
 class PathMotion(NamedTuple):
@@ -97,8 +97,6 @@ class PathMotion(NamedTuple):
         Of the rotors at the knots [rad/s], at rest at the end.
     ways : ndarray, shape (K,)
         Lengths of the path at the knots [m].
-    crossings : ndarray, shape (K,)
-        How often Gamma has been crossed up to the knots.
     jump : float
         By how much the speeds at the start differ from those of the fastest motion [rad/s].
     """
@@ -106,7 +104,6 @@ class PathMotion(NamedTuple):
     times: Vector
     speeds: Vector
     ways: Vector
-    crossings: Vector
     jump: float
 
 
@@ -117,31 +114,29 @@ def along_path(problem: PathProblem) -> PathMotion:
         return _plain(problem)
     if not hasattr(_WORKSPACES, "steps"):
         _WORKSPACES.steps = np.empty((_CAPACITY, _FIELDS))
-        _WORKSPACES.knots = np.empty((_CAPACITY, 6))
+        _WORKSPACES.knots = np.empty((_CAPACITY, 5))
     knots: Vector = _WORKSPACES.knots
     # Named, so that they live until the call has ended.
     arrays = (
         path.curve, problem.constants, np.array(limits), np.ascontiguousarray(problem.state[POSE]),
-        np.ascontiguousarray(problem.speeds), problem.turns,
+        np.ascontiguousarray(problem.speeds),
     )
     found = solver.hold_along_path(
-        len(path.curve), path.spacing, path.tolerance, problem.way, problem.last,
-        *(array.ctypes.data for array in arrays), problem.turns.size, _CAPACITY,
+        len(path.curve), path.spacing, path.tolerance, problem.turn, problem.way, problem.last,
+        *(array.ctypes.data for array in arrays), _CAPACITY,
         _WORKSPACES.steps.ctypes.data, knots.ctypes.data,
     )
     return _motion(knots[:found])
 
 
 def _motion(knots: Vector) -> PathMotion:
-    times, speeds, ways, crossings = (
-        knots[:, part].copy() for part in (0, slice(1, 3), 3, 4)
-    )
-    return PathMotion(times, speeds, ways, crossings, float(knots[0, 5]))
+    times, speeds, ways = (knots[:, part].copy() for part in (0, slice(1, 3), 3))
+    return PathMotion(times, speeds, ways, float(knots[0, 4]))
 
 
 def _plain(problem: PathProblem) -> PathMotion:
     """Do what `along_path` does, on CasADi and NumPy."""
-    taus, laws, ways, crossings = _nominal(problem)
+    taus, laws, ways = _nominal(problem)
     speeds = laws[:, :2]
     rates, times = _fastest(problem, taus, laws)
     jump = problem.speeds - rates[0] * speeds[0]
@@ -159,23 +154,23 @@ def _plain(problem: PathProblem) -> PathMotion:
         if k == len(times) - 1 or turned > _ANGLE:
             kept.append(k)
     jumps = np.full(len(times), np.max(np.abs(jump)))
-    return _motion(np.column_stack((times, speeds, ways, crossings, jumps))[kept])
+    return _motion(np.column_stack((times, speeds, ways, jumps))[kept])
 
 
-def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return times, laws, ways and crossings of the nominal motion."""
+def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector]:
+    """Return times, laws and ways of the nominal motion."""
     path, radius = problem.path, float(problem.constants[0])
     change, end = _CHANGE / float(problem.constants[1]), path.places[-1]
-    pose, way, turns = problem.state[POSE].copy(), problem.way, problem.turns.tolist()
+    pose, way = problem.state[POSE].copy(), problem.way
 
     def law(way: float, pose: Vector) -> Vector:
-        given = turns[min(chosen, len(turns) - 1)], way < path.length, path.tolerance
+        given = problem.turn, way < path.length, path.tolerance
         return _law(pose, path.at(way), np.array(given), problem.constants)
 
-    chosen, step, tau = 0, _STEP, 0.0
+    step, tau = _STEP, 0.0
     bend: Vector = np.zeros(2)
     here = law(way, pose)
-    rows = [(tau, way, chosen)]
+    rows = [(tau, way)]
     laws = [here]
     last = problem.last if problem.last < path.length else math.inf
     while len(rows) < _CAPACITY and way < last:
@@ -192,12 +187,11 @@ def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector, Vector]:
             step, bend = 0.5 * step, np.zeros(2)
         pose, tau = _moved(pose, here, following, step, problem.constants), tau + step
         bend, way = (following[:2] - here[:2]) / step, ahead
-        chosen += int(here[4] * following[4] < 0.0)
         here = following
-        rows.append((tau, way, chosen))
+        rows.append((tau, way))
         laws.append(here)
-    taus, ways, crossings = np.array(rows).T
-    return taus, np.array(laws), ways, crossings
+    taus, ways = np.array(rows).T
+    return taus, np.array(laws), ways
 
 
 def _fastest(problem: PathProblem, taus: Vector, laws: Vector) -> tuple[Vector, Vector]:

@@ -7,7 +7,7 @@ on it, by `sphere_nmpc.solver.path_motion`: it brings the centre back to the pat
 Once a sample period, and whenever something is new, it is planned anew, so that the stop is
 reached only where the path ends or leads too near to what is occupied. How the sphere turns on the
 way is free at each crossing of Gamma, and decides how near to their limits both rotors turn: other
-choices are drawn, and followed where they are faster.
+choices are drawn, and followed where the whole plan is faster.
 
 With momentum the rotors hold it along the motion besides; what is left, a turn about the body's z
 axis, is met by the next plan.
@@ -26,7 +26,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
-from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_momentum
+from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, without_momentum
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.path_motion import PathLimits, PathMotion, PathProblem, along_path
 from sphere_nmpc.solver.roll_out import roll_out
@@ -42,8 +42,6 @@ _WINDOW = 3.0
 """Length of the path ahead on which the sphere is looked for [Rs]."""
 _TRIES = 8
 """Other choices that are tried each sample period."""
-_CHOICES = 4
-"""Crossings of Gamma that a choice is for."""
 _LARGEST_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
 _LEAST_GAIN = 0.01
@@ -75,8 +73,7 @@ class PathFollowing:
         self.way = 0.0
         """Length of the path up to the place that is nearest [m]."""
         self._leg: tuple[object, int] | None = None
-        self._turns: Vector = np.zeros(_CHOICES)
-        self._motion: tuple[float, PathMotion] | None = None
+        self._turn = 0.0
         self._end = math.inf
         """When the path has been followed [s]."""
         self._draw = np.random.default_rng(0)
@@ -115,10 +112,9 @@ class PathFollowing:
     def _along(self, path: Path, situation: Situation) -> Plan:
         """Return the plan along the path."""
         units, period = self._settings.units, self._settings.control_period
-        now, pace = situation.time, self._pace(situation)
+        pace = self._pace(situation)
         problem = self._problem(path, situation, pace)
-        self._drop_passed(now)
-        best = along_path(replace(problem, turns=self._turns))
+        best = along_path(problem)
 
         def cost(motion: PathMotion) -> float:
             return float(motion.times[-1] + (problem.last - motion.ways[-1]) / pace)
@@ -127,19 +123,16 @@ class PathFollowing:
         for _ in range(max(1, round(_TRIES * period / self._settings.period))):
             if cost(best) < least + 2.0 * _LEAST_GAIN * units.time:
                 break
-            turns = self._turns.copy()
-            begin = int(self._draw.integers(_CHOICES))
-            turns[begin:] = self._draw.uniform(-_LARGEST_CHOICE, _LARGEST_CHOICE, _CHOICES - begin)
-            motion = along_path(replace(problem, turns=turns))
+            turn = self._draw.uniform(-_LARGEST_CHOICE, _LARGEST_CHOICE)
+            motion = along_path(replace(problem, turn=turn))
             # One that would have to begin slower leads away from the path.
             begins = motion.jump <= best.jump
             if begins and cost(motion) < cost(best) - _LEAST_GAIN * units.time:
-                best, self._turns = motion, turns
+                best, self._turn = motion, turn
         plan = self._plan(path, situation, best)
         if is_clear(situation, plan.hold, Margin.KEPT):
-            self._motion = now, best
             return plan
-        return self._up_to_obstacle(path, situation, problem)
+        return self._up_to_obstacle(path, situation, replace(problem, turn=self._turn))
 
     def _pace(self, situation: Situation) -> float:
         """Return the speed of the centre [m/s] that is not exceeded."""
@@ -159,18 +152,9 @@ class PathFollowing:
             speeds = speeds - rest_speeds(situation.momentum, situation.state[QUATERNION])
         last = min(path.length, self.way + _HORIZON * units.time * pace)
         return PathProblem(
-            path, self.way, last, situation.state, speeds, situation.constants.as_array(), limits
+            path, self.way, last, situation.state, speeds, situation.constants.as_array(), limits,
+            self._turn,
         )
-
-    def _drop_passed(self, now: float) -> None:
-        """Drop the choices of crossings that have been passed."""
-        if self._motion is None:
-            return
-        begin, motion = self._motion
-        passed = int(np.interp(now - begin, motion.times, motion.crossings))
-        if passed:
-            kept = self._turns[min(passed, _CHOICES - 1) :]
-            self._turns = np.append(kept, np.full(_CHOICES - kept.size, kept[-1]))
 
     def _plan(self, path: Path, situation: Situation, motion: PathMotion) -> Plan:
         """Return the plan of a motion."""
@@ -221,12 +205,10 @@ class PathFollowing:
         )
         for share in (1.0, 0.9, 0.7, 0.4, 0.2, 0.1):
             last = self.way + share * (min(near, problem.last) - self.way)
-            motion = along_path(replace(problem, last=last, turns=self._turns))
+            motion = along_path(replace(problem, last=last))
             plan = self._plan(path, situation, motion)
             if last > self.way and is_clear(situation, plan.hold, Margin.KEPT):
-                self._motion = situation.time, motion
                 return plan.giving_up(reason) if free.size else plan
-        self._motion = None
         return stop(situation, self._robot, "the path is blocked").giving_up(reason)
 
 

@@ -10,22 +10,22 @@
 #define PATH_ENDED 3e-3 /* distance from the end of the path at which the motion ends [Rs] */
 
 typedef struct {
-    double time, speeds[2], way, speed, crossings, squared_rate, at, sent[2];
+    double time, speeds[2], way, speed, squared_rate, at, sent[2];
 } path_step;
 
 typedef struct {
     int64_t rows;
-    double spacing, tolerance;
+    double spacing, tolerance, turn;
     const double *curve, *constants;
 } path_course;
 
-static void law_at(const path_course *c, double way, const double *pose, double turn, double *law)
+static void law_at(const path_course *c, double way, const double *pose, double *law)
 {
     const double length = c->spacing * (double)(c->rows - 1);
     const double share = clip(way / c->spacing, 0.0, (double)(c->rows - 1));
     const int64_t index = share < (double)(c->rows - 2) ? (int64_t)share : c->rows - 2;
     const double rest = share - (double)index, *row = c->curve + 4 * index;
-    const double demand[3] = {turn, way < length, c->tolerance};
+    const double demand[3] = {c->turn, way < length, c->tolerance};
     double point[4];
     for (int k = 0; k < 4; k++)
         point[k] = (1.0 - rest) * row[k] + rest * row[4 + k];
@@ -43,15 +43,14 @@ static void path_pose(const path_course *c, const double *pose, const double *fr
 
 /* Nominal motion from a pose at `way` up to `last` [m]; returns the number of its steps. */
 static int64_t nominal_motion(const path_course *c, const double *start, double way, double last,
-                              const double *turns, int64_t choices, int64_t capacity,
-                              path_step *steps)
+                              int64_t capacity, path_step *steps)
 {
     const double length = c->spacing * (double)(c->rows - 1), radius = c->constants[0];
     const double *end = c->curve + 4 * (c->rows - 1), change = PATH_CHANGE / c->constants[1];
-    double pose[6], law[5], next[5], bend[2] = {0.0, 0.0}, step = PATH_STEP, turn = turns[0];
-    int64_t count = 0, chosen = 0;
+    double pose[6], law[5], next[5], bend[2] = {0.0, 0.0}, step = PATH_STEP;
+    int64_t count = 0;
     memcpy(pose, start, sizeof pose);
-    law_at(c, way, pose, turn, law);
+    law_at(c, way, pose, law);
     for (;;) {
         path_step *here = steps + count;
         const path_step *before = count ? here - 1 : here;
@@ -59,7 +58,6 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
         memcpy(here->speeds, law, sizeof here->speeds);
         here->way = way;
         here->speed = law[3];
-        here->crossings = (double)chosen;
         count++;
         if (count == capacity || (way >= last && last < length))
             break;
@@ -72,7 +70,7 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
             const double there[2] = {law[0] + step * bend[0], law[1] + step * bend[1]};
             path_pose(c, pose, law, there, step, moved);
             ahead = fmin(way + radius * step * law[2], length);
-            law_at(c, ahead, moved, turn, next);
+            law_at(c, ahead, moved, next);
             const double largest = fmax(fabs(next[0] - law[0]), fabs(next[1] - law[1]));
             if (!(largest > change) || step < PATH_SHORTEST)
                 break;
@@ -82,10 +80,6 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
         for (int k = 0; k < 2; k++)
             bend[k] = (next[k] - law[k]) / step;
         way = ahead;
-        if (law[4] * next[4] < 0.0) {
-            chosen++;
-            turn = turns[chosen < choices ? chosen : choices - 1];
-        }
         memcpy(pose, moved, sizeof pose);
         memcpy(law, next, sizeof law);
     }
@@ -174,16 +168,15 @@ static int is_straight(const path_step *first, const path_step *last, double gai
     return 1;
 }
 
-/* Write the knots [time, u_1, u_2, way, crossings, jump] of the fastest motion along a path; returns
+/* Write the knots [time, u_1, u_2, way, jump] of the fastest motion along a path; returns
  * their number. `limits` are [speed, acceleration, speed of the centre or 0]. */
-int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double way, double last,
-                        const double *curve, const double *constants, const double *limits,
-                        const double *pose, const double *speeds, const double *turns,
-                        int64_t choices, int64_t capacity, path_step *steps, double *knots)
+int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double turn, double way,
+                        double last, const double *curve, const double *constants,
+                        const double *limits, const double *pose, const double *speeds,
+                        int64_t capacity, path_step *steps, double *knots)
 {
-    const path_course course = {rows, spacing, tolerance, curve, constants};
-    const int64_t count
-        = nominal_motion(&course, pose, way, last, turns, choices, capacity, steps);
+    const path_course course = {rows, spacing, tolerance, turn, curve, constants};
+    const int64_t count = nominal_motion(&course, pose, way, last, capacity, steps);
     const double *first = steps[0].speeds;
     const double square = fmax(first[0] * first[0] + first[1] * first[1], 1e-12);
     const double rate = (first[0] * speeds[0] + first[1] * speeds[1]) / square;
@@ -213,9 +206,8 @@ int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double w
         const path_step *here = steps + k;
         if (k && k < count - 1 && is_straight(steps + before, here + 1, constants[1]))
             continue;
-        const double row[6]
-            = {here->at, here->sent[0], here->sent[1], here->way, here->crossings, largest};
-        memcpy(knots + 6 * found++, row, sizeof row);
+        const double row[5] = {here->at, here->sent[0], here->sent[1], here->way, largest};
+        memcpy(knots + 5 * found++, row, sizeof row);
         before = k;
     }
     return found;

@@ -145,6 +145,9 @@ def _plain(problem: PathProblem) -> PathMotion:
     speeds = np.clip(speeds, -problem.limits.speed, problem.limits.speed)
     for k, reach in enumerate(problem.limits.acceleration * np.diff(times)):
         speeds[k + 1] = np.clip(speeds[k + 1], speeds[k] - reach, speeds[k] + reach)
+    if len(times) > 1:  # what has not been lost by the end is lost in a longer last step
+        times[-1] += float(np.max(np.abs(speeds[-1]))) / problem.limits.acceleration
+        speeds[-1] = 0.0
     kept = [0]
     for k in range(1, len(times)):
         part = slice(kept[-1], k + 2)

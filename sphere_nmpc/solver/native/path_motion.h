@@ -201,6 +201,11 @@ int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double t
             }
         }
     }
+    if (count > 1) { /* what has not been lost by the end is lost in a longer last step */
+        path_step *end = steps + count - 1;
+        end->at += fmax(fabs(end->sent[0]), fabs(end->sent[1])) / limits[1];
+        end->sent[0] = end->sent[1] = 0.0;
+    }
     int64_t found = 0;
     for (int64_t k = 0, before = 0; k < count; k++) {
         const path_step *here = steps + k;

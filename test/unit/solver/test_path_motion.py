@@ -36,7 +36,7 @@ def problem(shape: str, seed: int, limits: PathLimits = FAST, off: float = 0.0,
     """Return that of a motion from the start of a path, or `off` [m] beside it, at random."""
     rng, path = np.random.default_rng(seed), path_of(SHAPES[shape])
     start = make_state(path.places[0] + off, random_quaternion(rng))
-    given = {"way": 0.0, "last": path.length, "turns": rng.uniform(-1.0, 1.0, 4), **others}
+    given = {"way": 0.0, "last": path.length, "turn": rng.uniform(-1.0, 1.0), **others}
     return PathProblem(
         path, state=without_momentum(start), speeds=np.array(speeds), constants=CONSTANTS,
         limits=limits, **given,
@@ -88,12 +88,12 @@ def test_motion_follows_the_path_at_its_pace_through_gamma(shape, limits) -> Non
         assert ways[-1] == pytest.approx(given.path.length, abs=TOLERANCE)
         least = given.path.length / (limits.pace or STEADY)
         found.append((
-            np.max(away[times < 1.0]), np.max(away), motion.times[-1] / least, motion.crossings[-1]
+            np.max(away[times < 1.0]), np.max(away), motion.times[-1] / least
         ))
     # Linear speeds between knots differ from those of the law, and without corrections what they
     # lead to grows; a quarter of a second of a plan is followed. From near Gamma it is most.
-    (soon, whole, slower, crossings), largest = np.median(found, axis=0), np.max(found, axis=0)
-    assert soon < 1.5e-3 and largest[0] < 0.01 and whole < TOLERANCE and crossings >= 2
+    (soon, whole, slower), largest = np.median(found, axis=0), np.max(found, axis=0)
+    assert soon < 1.5e-3 and largest[0] < 0.01 and whole < TOLERANCE
     assert 1.0 < slower < (1.06 if limits.pace else 1.6)
 
 

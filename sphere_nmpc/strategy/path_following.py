@@ -50,6 +50,8 @@ _LEAST_GAIN = 0.01
 _DEVIATIONS = 3.0
 """Standard deviations of the estimate by which the sphere may be away from the end of a path that
 has been followed: where poses are noisy it would be corrected again and again."""
+_NEAR = 2.0
+"""Spacings of the path within which of a stop in front of an obstacle the sphere is there."""
 _SAME = 0.05
 """Difference from the predicted state that is nothing new, over the tolerance of the path."""
 
@@ -112,7 +114,8 @@ class PathFollowing:
         """Return the plan along the path of the leg."""
         path = cast(Path, situation.course.legs[situation.leg].follows)
         plan = self._along(path, situation)
-        self._end = plan.end if plan.leg.end is LegEnd.REST else math.inf
+        rests = plan.leg.end is LegEnd.REST and not plan.stops
+        self._end = plan.end if rests else math.inf
         until = min(situation.time + self._settings.period, self._end)
         return replace(plan, until=until, tolerance=_SAME * path.tolerance)
 
@@ -231,7 +234,7 @@ class PathFollowing:
             last = self.way + share * (min(near, problem.last) - self.way)
             motion = along_path(replace(problem, last=last, turns=self._turns))
             plan = self._plan(path, situation, motion)
-            if last > self.way and is_clear(situation, plan.hold, Margin.KEPT):
+            if last > self.way + _NEAR * path.spacing and is_clear(situation, plan.hold, Margin.KEPT):
                 self._motion = situation.time, motion
                 return plan.giving_up(reason) if free.size else plan
         self._motion = None

@@ -234,7 +234,8 @@ class PathFollowing:
             last = self.way + share * (min(near, problem.last) - self.way)
             motion = along_path(replace(problem, last=last, turns=self._turns))
             plan = self._plan(path, situation, motion)
-            if last > self.way + _NEAR * path.spacing and is_clear(situation, plan.hold, Margin.KEPT):
+            is_ahead = last > self.way + _NEAR * path.spacing
+            if is_ahead and is_clear(situation, plan.hold, Margin.KEPT):
                 self._motion = situation.time, motion
                 return plan.giving_up(reason) if free.size else plan
         self._motion = None

@@ -36,7 +36,7 @@ from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum, stop
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
-_HORIZON = 4.0
+_HORIZON = 2.0
 """Time that is planned ahead, at the pace of the path [s; for the robot of Table 1]."""
 _WINDOW = 3.0
 """Length of the path ahead on which the sphere is looked for [Rs]."""
@@ -105,7 +105,8 @@ class PathFollowing:
         """Return the plan along the path of the leg."""
         path = _path_of(situation)
         plan = self._along(path, situation)
-        self._end = plan.end if plan.leg.end is LegEnd.REST else math.inf
+        rests = plan.leg.end is LegEnd.REST and not plan.stops
+        self._end = plan.end if rests else math.inf
         until = min(situation.time + self._settings.period, self._end)
         return replace(plan, until=until, tolerance=_SAME * path.tolerance)
 
@@ -207,7 +208,8 @@ class PathFollowing:
             last = self.way + share * (min(near, problem.last) - self.way)
             motion = along_path(replace(problem, last=last))
             plan = self._plan(path, situation, motion)
-            if last > self.way and is_clear(situation, plan.hold, Margin.KEPT):
+            is_ahead = last > self.way + path.spacing
+            if is_ahead and is_clear(situation, plan.hold, Margin.KEPT):
                 return plan.giving_up(reason) if free.size else plan
         return stop(situation, self._robot, "the path is blocked").giving_up(reason)
 

@@ -8,19 +8,16 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector
 
-RADIUS = RobotParameters().shell_radius
-TOLERANCE = 0.02
-
+RADIUS, TOLERANCE = RobotParameters().shell_radius, 0.02
 _TURN = np.linspace(0.0, 2.0 * np.pi, 400)
-LINE = np.array([[0.0, 0.0], [2.0, 0.0]])
+LINE, CORNER = np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
 CIRCLE = 0.5 * np.column_stack((np.sin(_TURN), 1.0 - np.cos(_TURN)))
 EIGHT = np.column_stack((np.sin(_TURN), np.sin(_TURN) * np.cos(_TURN)))
-CORNER = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-CUSP = np.array([[0.0, 0.0], [0.8, 0.0], [0.3, 0.2]])
-"""It turns by 158 degrees."""
+SHAPES = {"line": LINE, "circle": CIRCLE, "eight": EIGHT, "corner": CORNER}
+CUSP = np.array([[0.0, 0.0], [0.8, 0.0], [0.3, 0.2]])  # 158 degrees
 
 
-def path_of(places: Vector, tolerance: float = TOLERANCE, radius: float = RADIUS) -> Path:
+def path_of(places: Vector, tolerance: float = TOLERANCE) -> Path:
     """Return the only path through places, shape (P, 2)."""
-    (path,) = Path.through(places, tolerance, radius)
+    (path,) = Path.through(places, tolerance, RADIUS)
     return path

@@ -38,6 +38,9 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _HORIZON = 2.0
 """Time that is planned ahead, at the pace of the path [s; for the robot of Table 1]."""
+_FASTEST = 1.5
+"""Largest speed of the centre [Rs in the time of a ramp of the rotors to their limit]: errors
+decay along the path, and faster the rotors cannot follow. Table 1 attains 0.62."""
 _WINDOW = 3.0
 """Length of the path ahead on which the sphere is looked for [Rs]."""
 _TRIES = 8
@@ -137,8 +140,12 @@ class PathFollowing:
 
     def _pace(self, situation: Situation) -> float:
         """Return the speed of the centre [m/s] that is not exceeded."""
-        largest = SteadyRolling.of(situation.constants, self._robot.max_rotor_speed).speed
-        return min(self._settings.path_speed or largest, largest)
+        robot, radius = self._robot, situation.constants.shell_radius
+        largest = SteadyRolling.of(situation.constants, robot.max_rotor_speed).speed
+        ramp = robot.max_rotor_speed / min(
+            robot.max_rotor_acceleration, situation.plant.acceleration
+        )
+        return min(self._settings.path_speed or largest, largest, _FASTEST * radius / ramp)
 
     def _problem(self, path: Path, situation: Situation, pace: float) -> PathProblem:
         """Return the motion that is sought, without what holds the momentum."""

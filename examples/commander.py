@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""BasicNavigator of Nav2 commands the sphere: to a pose, along waypoints, and a task is cancelled.
+"""BasicNavigator of Nav2 commands the sphere: to poses, along a path, and a task is cancelled.
 
 It needs nav2_simple_commander (``apt install ros-jazzy-nav2-simple-commander``), and a robot with
 the navigator::
@@ -15,6 +15,7 @@ import sys
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav2_simple_commander.robot_navigator import BasicNavigator, TaskResult
+from nav_msgs.msg import Path
 
 FRAME = "world"
 """The `world_frame` of the nodes; it is "map" where they are started with world_frame:=map."""
@@ -60,10 +61,14 @@ def main() -> int:
     navigator.followWaypoints([pose(1.0, -0.5), pose(0.0, -0.5), pose(0.0, 0.0)])
     as_expected.append(finish(navigator, "waypoints", TaskResult.SUCCEEDED))
 
+    places = [(0.1 * number, 0.2 * math.sin(0.6 * number)) for number in range(11)]
+    navigator.followPath(Path(poses=[pose(x, y) for x, y in places]))
+    as_expected.append(finish(navigator, "path", TaskResult.SUCCEEDED))
+
     navigator.goToPose(pose(5.0, 0.0))
     while not navigator.isTaskComplete():
         feedback = navigator.getFeedback()
-        if hasattr(feedback, "current_pose") and feedback.current_pose.pose.position.x > 0.5:
+        if hasattr(feedback, "current_pose") and feedback.current_pose.pose.position.x > 1.5:
             navigator.cancelTask()  # ends when the sphere rests, on the path that was planned
             break
     as_expected.append(finish(navigator, "far pose", TaskResult.CANCELED))

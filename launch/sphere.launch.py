@@ -59,12 +59,12 @@ ACTIONS = "nav2_msgs"
 RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/eta", "controller/floor",
-    "controller/predicted_path", "controller/status", "simulator/pushed",
+    "controller/path", "controller/predicted_path", "controller/status", "simulator/pushed",
 )
-"""Without goal_pose, goal_point, goals, map, keepout and simulator/push: `ros2 topic pub --once`
-ends after the first matched subscription, which has to be the one that is meant. The accepted
-goals are in active_goal, map and areas to keep out of in floor, the pushes in pushed. Without imu,
-which is read only while it has a subscription."""
+"""Without goal_pose, goal_point, goals, path, map, keepout and simulator/push: `ros2 topic pub
+--once` ends after the first matched subscription, which has to be the one that is meant. The
+accepted goals are in active_goal, paths in controller/path, map and areas to keep out of in floor,
+the pushes in pushed. Without imu, which is read only while it has a subscription."""
 OF_ODOMETRY = (
     "imu", "pose_fix", "odometry/status", "ground_truth/pose", "ground_truth/odom",
 )

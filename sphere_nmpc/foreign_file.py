@@ -59,6 +59,8 @@ def open_file(path: Path, most_bytes: float = float("inf")) -> BinaryIO:
     `InvalidFileError` is raised for any other file, and `OSError` where there is none that can be
     read.
     """
+    if "\0" in str(path):
+        raise InvalidFileError(str(path), "a name with a NUL", "the name of a file")
     # Before it is opened, which is an action for some devices ...
     _check(path, os.stat(path), most_bytes)
     # ... and afterwards, as it may be another one by now; without O_NONBLOCK, a pipe without a

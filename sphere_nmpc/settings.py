@@ -95,6 +95,17 @@ class ControllerSettings:
         "Effort of the search for an early arrival: solver iterations times intervals, 1 us each",
         minimum=1000, maximum=100_000_000, live=True,
     )
+    time_margin: float = quantity(
+        0.0, "-",
+        "Share of the least time by which time_optimal may arrive later, to spare the motors",
+        minimum=0.0, maximum=1.0, live=True,
+    )
+    arrive_at: float = quantity(
+        0.0, "s",
+        "Time that it is to take from when a goal has come in, or the leg has begun; 0 is what "
+        "time_margin says",
+        minimum=0.0, maximum=3600.0, live=True,
+    )
     learning: bool = quantity(
         True, "-", "Estimate the plant's constants from its motion", live=True
     )
@@ -141,6 +152,15 @@ class ControllerSettings:
         "Tolerance of the orientation by itself; 0 is twice goal_tolerance, and the error in R^6 "
         "where position_tolerance is 0, too",
         minimum=0.0, maximum=3.2, live=True,
+    )
+    path_speed: float = quantity(
+        0.0, "m/s",
+        "Speed along a path, where path and rotors allow it; 0 is as fast as they allow",
+        minimum=0.0, maximum=100.0, live=True,
+    )
+    path_tolerance: float = quantity(
+        0.02, "m", "Largest distance of the centre from a path: corners are cut by less",
+        minimum=1e-4, maximum=10.0, live=True,
     )
     units: RobotUnits = TABLE_1_UNITS
 

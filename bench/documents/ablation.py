@@ -72,7 +72,10 @@ _UNDISTURBED = DisturbanceDraws()
 
 @dataclass(frozen=True)
 class Study:
-    """Runs that some numbers matter for; `loose` judges them by an error of 5e-2."""
+    """Runs that some numbers matter for, with the result that is compared.
+
+    `loose` judges them by an error of 5e-2.
+    """
 
     name: str
     runs: int
@@ -83,6 +86,7 @@ class Study:
     duration: float = 20.0
     draws: DisturbanceDraws = _UNDISTURBED
     loose: bool = False
+    result: str = "settle_time_s"
 
     @property
     def conditions(self) -> StudyConditions:
@@ -102,7 +106,7 @@ class Study:
     @property
     def metric(self) -> str:
         """Result of a run that is compared."""
-        return "loose_settle_time_s" if self.loose else "settle_time_s"
+        return "loose_settle_time_s" if self.loose else self.result
 
 
 def _pushed(time: float) -> DisturbanceDraws:
@@ -128,6 +132,8 @@ NOISY_PUSHED = Study(
 NOT_GIVEN = Study("noise not given", 4, 1, _NOISE, loose=True)
 WEAK = Study("weak drives", 6, 1, _CONTACT + "rigid_body.torque_limit=2.4")
 FAR = Study("far", 8, 1, "", "far", percent=0.0, duration=100.0)
+SPARED = Study("margin 0.01", 20, 1, "controller.time_margin=0.01", percent=0.0)
+HEAT = Study("heat, margin 0.5", 20, 1, "controller.time_margin=0.5", percent=0.0, result="heat")
 _MAP_FILE = Path(__file__).resolve().parents[2] / "config" / "maps" / "two_rooms.yaml"
 MAP = Study("map", 12, 1, f"floor.map_file={_MAP_FILE}", percent=0.0, duration=40.0)
 _MOMENTUM, _NOISES = (PUSHED, SLOPE), (DIFFUSING, NOISY, NOISY_PUSHED)
@@ -140,6 +146,8 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
         "trial_iterations": ((6, 24), (EXACT,)),
         "error_weight": ((5.0, 20.0), (EXACT,)),
         "iterations": ((4, 16), (EXACT,)),
+        "effort_weight": ((0.02, 0.5), (SPARED, HEAT)),
+        "sparing_iterations": ((25, 400), (SPARED, HEAT)),
         "momentum_weight": ((0.0, 0.06), (SLOPE,)),
         "arrival_error": ((2e-4,), (EXACT,)),
         "half_motions": ((1024, 9216), (EXACT,)),
@@ -246,7 +254,8 @@ def compared(study: Study, runs: Vector, default: Vector) -> str:
     error = float(np.std(change, ddof=1)) / np.sqrt(change.size)
     mean = f"{np.mean(change):+.2f} ± {error:.2f}" if change.any() else "0"
     spent = runs[:, 1].mean() / default[:, 1].mean()
-    return f"{study.name} {mean} s ({spent:.2f})"
+    unit = "N² m² s" if study.result == "heat" else "s"
+    return f"{study.name} {mean} {unit} ({spent:.2f})"
 
 
 def variants(kind: type[Numbers], words: Iterable[str]) -> list[tuple[str, Any, Studies]]:
@@ -286,7 +295,7 @@ def main() -> None:
     needed = tuple(dict.fromkeys(study for _, _, studies in wanted for study in studies))
     before = settling(defaults, needed, given.jobs)
     for study, runs in before.items():
-        print(f"{study.name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f} s")
+        print(f"{study.name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f}")
     print(header(
         "number", "default", "changed to",
         "mean change of the settling time (processor time over the default's)",

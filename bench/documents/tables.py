@@ -3,11 +3,13 @@
 """Tables of documents, what several of them judge runs by, and runs in several processes."""
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 
 from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
@@ -46,7 +48,7 @@ def last_arrival(states: Vector, goal: Vector) -> int:
 
 
 def in_processes(
-    call: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], jobs: int | None = None
+    call: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int | None = None
 ) -> list[Any]:
     """Return the results of calls with the arguments of each task, made in new processes.
 
@@ -54,4 +56,6 @@ def in_processes(
     through something in another thread.
     """
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(call, *zip(*tasks, strict=True)))
+        results = pool.map(call, *zip(*tasks, strict=True))
+        console = Console(stderr=True)
+        return list(track(results, "runs", len(tasks), transient=True, console=console))

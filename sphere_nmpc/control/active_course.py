@@ -55,12 +55,12 @@ class CourseInForce:
     def take(self, given: ActiveCourse, time: float | None, is_at_its_end: bool) -> bool:
         """Put a course in force; return whether it is another one than before.
 
-        A list that is given again goes on, unless it `is_at_its_end`. A single goal that is given
-        again and again may differ a little each time, where the control time [s] is known for
-        which it is given.
+        A list or path that is given again goes on, unless it `is_at_its_end`. A single goal that
+        is given again and again may differ a little each time, where the control time [s] is known
+        for which it is given.
         """
         known, course = self.active, given.course
-        if time is not None and len(course.legs) == 1:
+        if time is not None and len(course.legs) == 1 and not course.paths:
             goal, is_other = self._motion.update(time, given.goal)
             if known is not None and not is_other:
                 self.active = replace(given, course=known.course.aimed(0, goal))
@@ -68,7 +68,8 @@ class CourseInForce:
         else:
             self._motion = GoalMotion()
         is_new = known is None or not known.course.is_listed_in(course)
-        if known is not None and not (is_new or (known.index > 0 and is_at_its_end)):
+        may_repeat = known is not None and (known.index > 0 or bool(course.paths))
+        if known is not None and not (is_new or (may_repeat and is_at_its_end)):
             self.active = replace(known, stamp=given.stamp)
             return False
         self.active = given

@@ -30,6 +30,7 @@ from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import STANDING, Goal
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path import Tracking
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
     MOMENTUM,
@@ -40,7 +41,7 @@ from sphere_nmpc.model.state import (
     as_state,
     without_momentum,
 )
-from sphere_nmpc.model.torque import within_torque
+from sphere_nmpc.model.torque import heat_and_energy, torques, within_torque
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.strategy.contract import Situation, Strategy
@@ -51,6 +52,8 @@ from sphere_nmpc.worker.contract import Worker
 
 _OVERSPEED = 2.0
 """Largest measured rotor speed that is possible, over the largest one that is commanded [-]."""
+_INSTANT = 1e-3
+"""Time within which a velocity is constant [s]."""
 
 
 class Controller:
@@ -170,6 +173,28 @@ class Controller:
         """Return the speed at which the goal is expected to move at `time` on [m/s]."""
         active = self._course.at(time)
         return 0.0 if active is None else float(np.linalg.norm(active.goal.rate[POSITION]))
+
+    def tracking(self) -> Tracking | None:
+        """Return how the path is followed, by the newest pose; None where none is."""
+        active = self._course.active
+        path = None if active is None else active.leg.follows
+        newest = None if path is None else self._estimator.newest
+        if path is None or newest is None:
+            return None
+        way, place = self._planner.paths.way, newest[1][POSITION]
+        x, y, direction, _ = path.at(way).tolist()
+        along, left = math.cos(direction), math.sin(direction)
+        speed = turned = math.nan
+        in_force = self._planner.in_force
+        if in_force is not None:
+            since = max(newest[0], in_force.plan.hold.start)
+            first, second = (in_force.at(since + step)[POSITION] for step in (0.0, _INSTANT))
+            moved = (second - first) / _INSTANT
+            speed = math.hypot(*moved)
+            turned = math.remainder(math.atan2(moved[1], moved[0]) - direction, math.tau)
+        return Tracking(
+            way, path.length - way, along * (place[1] - y) - left * (place[0] - x), turned, speed
+        )
 
     def remaining(self, time_left: float, way_left: float) -> tuple[float, float]:
         """Return time [s] and way [m] to the last of the goals; nan without goal or pose.
@@ -319,6 +344,19 @@ class Controller:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
         return self._commands.sent.at(time)
 
+    def motor_effort(self, start: float, end: float, pose: Vector) -> Vector:
+        """Return what the commands from `start` to `end` [s] took, see `heat_and_energy`.
+
+        It is that at a pose, shape (6,): in half a second the sphere turns by so little that this
+        changes the heat by 1 %.
+        """
+        durations, speeds = self._commands.sent.pieces(start, end)
+        states = np.tile(pose, (durations.size + 1, 1))
+        hold = FirstOrderHold(np.append(0.0, np.cumsum(durations)), speeds)
+        inertia = self._robot.rotor_axial_inertia
+        each = torques(states, hold, self._estimator.plant.constants, inertia)
+        return heat_and_energy(durations, speeds, *each)
+
     def is_at_rest(self, now: float) -> bool:
         """Return whether no rotor moves at `now` [s] or later by the commands sent."""
         return not self._commands.sent.moves_after(now)
@@ -451,6 +489,8 @@ class Controller:
         away = relative_error(decision.state, goal, settings)
         if (self._is_refused and decision.solved) or (active and not active.is_last):
             away = float("nan")  # a goal that is refused is not reached, wherever the sphere is
+        elif active is not None and active.leg.follows and not self._has_followed(active, time):
+            away = float("nan")
         reached = self._arrival.update(time, away, settings.period)
         arrived = reached and found is Kind.TRACKING.alone
         if goal is None or arrived or not decision.solved:
@@ -475,6 +515,8 @@ class Controller:
         state, settings, goal = estimate.state, self._settings, active.goal
         while not (active.is_last or self._is_refused):
             away = relative_error(state, goal.nearest(state, time), settings)
+            if active.leg.follows and not self._has_followed(active, time):
+                break
             if not away < 1.0:
                 if before is None or not before.has_passed(active.course, active.index, time):
                     break
@@ -485,6 +527,10 @@ class Controller:
             active = cast(ActiveCourse, self._course.at(time))
             goal, before = active.goal, None
         return active
+
+    def _has_followed(self, active: ActiveCourse, time: float) -> bool:
+        """Return whether the sphere is beyond the path of a leg, by whose end it may lead."""
+        return self._planner.paths.has_followed(active.course, active.index, time)
 
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self._estimator

@@ -49,6 +49,8 @@ class GoalReport:
         Value of the `Kind` of unreachable goals, empty where the goal may be reached.
     obstacle : str
         What keeps the sphere from its goal; empty where that is said by the mode.
+    deviation, heading_error, speed : float
+        Of a path that is followed what `Tracking` has [m, rad, m/s]; nan where there is none.
     """
 
     stamp: str = ""
@@ -64,6 +66,9 @@ class GoalReport:
     total_distance_left: float = math.nan
     unreachable: str = ""
     obstacle: str = ""
+    deviation: float = math.nan
+    heading_error: float = math.nan
+    speed: float = math.nan
 
     @classmethod
     def of(cls, values: Mapping[str, str]) -> "GoalReport":
@@ -85,6 +90,8 @@ class GoalReport:
                 number("total_time_left_s"), number("total_distance_left_m"),
                 values.get("unreachable", ""),
                 values.get("no_progress") or (given_up and f"the strategy gives up {given_up}"),
+                number("path_deviation_m"), number("path_heading_error_rad"),
+                number("path_speed_m_s"),
             )
         except (KeyError, ValueError) as error:
             raise InvalidInputError(

@@ -19,6 +19,7 @@ from sphere_nmpc.strategy.contract import (
     plan_of,
 )
 from sphere_nmpc.strategy.in_force import InForce
+from sphere_nmpc.strategy.path_following import PathFollowing
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.worker.contract import Worker
 
@@ -53,16 +54,24 @@ class Planner:
         self._prepared: tuple[ControllerSettings, Strategy] | None = None
         """A strategy that was made for other settings, which are not in force yet."""
         self.strategy = strategy or self._make()
-        """The strategy in use."""
+        """The strategy in use, but along paths."""
+        self.paths = PathFollowing(settings, robot)
+        """What plans along paths."""
+        self._follows = False
         self.in_force: InForce | None = None
         """The newest plan, with what it was made for; None after a decision without one."""
 
     def plan(self, situation: Situation) -> Plan:
         """Return the plan of the strategy; what it raises is for the caller to record."""
-        return plan_of(self.strategy, situation, self._robot)
+        leg = situation.course.legs[situation.leg]
+        follows = leg.follows is not None and self.paths.leads(situation)
+        if follows and not self._follows:
+            self.reset()  # what it searches for is not needed
+        self._follows = follows
+        return plan_of(self.paths if follows else self.strategy, situation, self._robot)
 
     def reset(self) -> None:
-        """Have the strategy act like a new one."""
+        """Have the strategy act like a new one; how far a path is followed stays."""
         self._call(lambda: self.strategy.reset())
 
     def prepare(self, settings: ControllerSettings) -> None:
@@ -78,6 +87,7 @@ class Planner:
         """Use other settings: by another strategy, see `prepare`, or by the one in use."""
         self.prepare(settings)
         is_other, self._settings = self._is_other(settings), settings
+        self.paths.change(settings)
         if is_other:
             self._renew()
         else:

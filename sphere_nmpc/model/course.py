@@ -8,7 +8,13 @@ A course is made once, where goals come in; from then on it is compared by ident
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from sphere_nmpc.model.goal import Goal
+import numpy as np
+
+from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.path import Path
+
+_ANY = (1.0, 0.0, 0.0, 0.0)
+"""Orientation of a goal that demands none."""
 
 
 class LegEnd(Enum):
@@ -35,12 +41,21 @@ class Leg:
         Time from its end to that of the leg that it is put in front of [s].
     way_left : float
         Length of the way there [m].
+    follows : Path or None
+        Path to the goal that the centre follows; None where any way leads there.
     """
 
     goal: Goal
     end: LegEnd = LegEnd.REST
     time_left: float = 0.0
     way_left: float = 0.0
+    follows: Path | None = None
+
+    def equals(self, other: "Leg") -> bool:
+        """Return whether it leads to the same goal, along the same path if along one."""
+        if self.follows is None or other.follows is None:
+            return self.follows is other.follows and self.goal.equals(other.goal)
+        return self.follows.equals(other.follows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +68,13 @@ class Course:
         One or more.
     origin : object
         The same object for a course whose goals have moved since it was made.
+    paths : tuple of Path
+        The paths that its legs follow.
     """
 
     legs: tuple[Leg, ...]
     origin: object = field(default_factory=object, repr=False)
+    paths: tuple[Path, ...] = ()
 
     @classmethod
     def of(cls, *goals: Goal) -> "Course":
@@ -64,6 +82,15 @@ class Course:
         for goal in goals:
             goal.pose.flags.writeable = goal.rate.flags.writeable = False
         return cls(tuple(map(Leg, goals)))
+
+    @classmethod
+    def along(cls, *paths: Path, end: Goal | None = None) -> "Course":
+        """Return a new course along paths, with any orientation, and to a goal after the last."""
+        legs = [
+            Leg(Goal(np.concatenate((path.places[-1], _ANY)), Orientation.ANY), follows=path)
+            for path in paths
+        ]
+        return cls((*legs, *(() if end is None else (Leg(end),))), paths=paths)
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -74,13 +101,13 @@ class Course:
         """Return the same course with another goal at the end of a leg, as when it has moved."""
         legs = self.legs
         leg = replace(legs[index], goal=goal)
-        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin)
+        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin, self.paths)
 
     def by_way_of(self, index: int, leg: Leg) -> "Course":
         """Return the same course with a leg put in front of the one with this index."""
-        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin)
+        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin, self.paths)
 
     def is_listed_in(self, other: "Course") -> bool:
-        """Return whether another course has the same goals in the same order."""
-        pairs = zip(self.goals, other.goals, strict=False)
+        """Return whether another course has the same legs in the same order."""
+        pairs = zip(self.legs, other.legs, strict=False)
         return len(self.legs) == len(other.legs) and all(a.equals(b) for a, b in pairs)

@@ -57,6 +57,20 @@ def torques(
     return rotor_axial_inertia * after, rotor_axial_inertia * before
 
 
+def heat_and_energy(durations: Vector, speeds: Vector, after: Vector, before: Vector) -> Vector:
+    """Return the integrals of torque squared [N^2 m^2 s] and of |torque times speed| [J], (2,).
+
+    Both are summed over the rotors. In intervals of `durations` [s], shape (K,), their speeds
+    relative to the shell, (K + 1, 2), are linear, and so are the torques from just `after` the
+    start to just `before` the end, (K, 2). Both are nan without an interval.
+    """
+    if not durations.size:
+        return np.full(2, np.nan)
+    squares = np.sum(after * after + after * before + before * before, axis=1)
+    powers = np.sum(np.abs(after * speeds[:-1]) + np.abs(before * speeds[1:]), axis=1)
+    return np.array((durations @ squares / 3.0, durations @ powers / 2.0))
+
+
 def largest_acceleration(robot: RobotParameters) -> float:
     """Return the rotor acceleration [rad/s^2] that respects the torque limit in all orientations.
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from nav_msgs.msg import Goals
+from nav_msgs.msg import Goals, Path
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -17,8 +17,10 @@ from sphere_nmpc.control.goal_client import Ending, GoalClient, NavigatorSetting
 from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.ros.messages import stamp_to_ros
 
-GoalMessage: TypeAlias = PoseStamped | PointStamped | Goals
-_TOPICS: dict[type, str] = {PoseStamped: "goal_pose", PointStamped: "goal_point", Goals: "goals"}
+GoalMessage: TypeAlias = PoseStamped | PointStamped | Goals | Path
+_TOPICS: dict[type, str] = {
+    PoseStamped: "goal_pose", PointStamped: "goal_point", Goals: "goals", Path: "path",
+}
 
 
 class GoalLink:

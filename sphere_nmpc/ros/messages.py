@@ -19,12 +19,21 @@ from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import error_covariance
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, upright_state
+from sphere_nmpc.model.state import (
+    FARTHEST,
+    POSITION,
+    QUATERNION,
+    Vector,
+    make_state,
+    upright_state,
+)
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import BODY_FRAME, WORLD_FRAME, stamp_of
 
 MOST_GOALS = 500
 """Goals of a list, which take some 30 ms to be read."""
+MOST_PLACES = 10_000
+"""Poses of a path, which take half a second to be read and made a curve; 400 take 40 ms."""
 
 
 def stamp_to_ros(stamp: int) -> Time:
@@ -57,7 +66,7 @@ def pose_from_ros(message: Any) -> Vector:
 
 def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """Return the state, shape (6,), of a PoseStamped in the given frame or without one."""
-    _check_frame(message, frame)
+    _check_frame(message.header.frame_id, frame)
     return pose_from_ros(message)
 
 
@@ -66,7 +75,7 @@ def uncertain_pose_from_ros(message: Any, frame: str) -> tuple[Vector, Vector | 
 
     See `framed_pose_from_ros` and `error_covariance`; the height and its variance are ignored.
     """
-    _check_frame(message, frame)
+    _check_frame(message.header.frame_id, frame)
     pose = pose_from_ros(message.pose)
     given = np.array(message.pose.covariance, dtype=float).reshape(6, 6)
     return pose, error_covariance(pose, given)
@@ -87,9 +96,30 @@ def framed_poses_from_ros(
     return [framed_pose_from_ros(message, frame) for message in messages]
 
 
+def framed_places_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
+    """Return the positions [m], shape (P, 2), of a nav_msgs/Path, `MOST_PLACES` at most.
+
+    Each pose is in the given frame, or without one; those without one are in that of the path.
+    Nothing else of them counts, as planners do not set it.
+    """
+    poses, given = message.poses, Description(f"{len(message.poses)} poses")
+    if not 0 < len(poses) <= MOST_PLACES:
+        raise InvalidStateError("path", given, f"1 to {MOST_PLACES}; ~/cancel stops")
+    for other in {pose.header.frame_id or message.header.frame_id for pose in poses}:
+        _check_frame(other, frame)
+    places = np.array([(it.pose.position.x, it.pose.position.y) for it in poses])
+    wrong = np.flatnonzero(~(np.abs(places) <= FARTHEST).all(axis=1))
+    if wrong.size:
+        raise InvalidStateError(
+            f"pose {wrong[0]} of the path", places[wrong[0]].tolist(),
+            f"finite numbers [x, y], at most {FARTHEST:g} m from the origin along each axis",
+        )
+    return places
+
+
 def framed_point_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """Return the upright state, shape (6,), at a PointStamped; otherwise as for a pose."""
-    _check_frame(message, frame)
+    _check_frame(message.header.frame_id, frame)
     return upright_state(message.point.x, message.point.y, 0.0)
 
 
@@ -153,8 +183,7 @@ def message_object(raw: bytes, kind: Any) -> Any:
         raise InvalidInputError(kind.__name__, raw, "a message of this type") from None
 
 
-def _check_frame(message: Any, frame: str) -> None:
-    given = message.header.frame_id
+def _check_frame(given: str, frame: str) -> None:
     if given not in ("", frame):
         raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
 

@@ -61,6 +61,12 @@ class ControllerNodeSettings(ControllerSettings):
         "the vertical, or nothing, as goals on goal_point always do",
         choices=[kind.value for kind in Orientation], live=True,
     )
+    path_end_orientation: str = quantity(
+        "any", "-",
+        "What a path demands of the orientation at its end: nothing, or of that of its last pose "
+        "all but a turn about the vertical, or all; the sphere turns after the path",
+        choices=[kind.value for kind in Orientation], live=True,
+    )
     command_rate: float = quantity(
         100.0, "Hz", "Rate of rotor_commands", minimum=1.0, maximum=1000.0
     )

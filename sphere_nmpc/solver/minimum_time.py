@@ -5,21 +5,21 @@
 Decision variables are the scaled knots v = u / U and a factor sigma on all durations. With the
 terminal error e, a vector of eight residuals, the merit
 
-    sigma sum_m h_m + w |e|_1
+    sigma sum_m h_m + w |e|_1 + w_f sum_m |u_m - u_(m-1)|^2 / (a^2 sigma h_m)
 
-is minimised subject to the bounds and |u_m - u_(m-1)| <= a sigma h_m: an exact penalty, so that
-for w beyond the multipliers of e = 0 the error vanishes at the solution. Each step solves a convex
-program for changes z of the knots and a relative change s of the duration,
+is minimised subject to the bounds, |u_m - u_(m-1)| <= a sigma h_m and a least duration: an exact
+penalty, so that for w beyond the multipliers of e = 0 the error vanishes at the solution. Each
+step solves a convex program for changes z of the knots and a relative change s of the duration,
 
-    min  tau s + w |e + b s + E z|_1 + r/2 sum_i c_i (z_i - a_i)^2,
+    min  tau s + w |e + b s + E z|_1 + F(z, s) + r/2 sum_i c_i (z_i - a_i)^2,
 
-with all limits as they are. Where it loses to the curvature of e, the program is solved once more
-for the error that its step has led to (second-order correction). The proximal weight r follows the
-curvature that the last steps met: linear programs with a trust region instead move each rotor by
-all that is allowed, to gain nothing, where the speeds are at no limit. c_i is the time that a knot
-stands for, so that steps do not depend on the grid; a_i repeats a share of the last step
-(momentum, restarted by a step that fails): after 15 steps 8 of 12 problems were within 1e-4 of
-their minimum with it, and 3 without.
+with F the effort to second order, which is convex, and all limits as they are. Where it loses to
+the curvature of e, the program is solved once more for the error that its step has led to
+(second-order correction). The proximal weight r follows the curvature that the last steps met:
+linear programs with a trust region instead move each rotor by all that is allowed, to gain
+nothing, where the speeds are at no limit. c_i is the time that a knot stands for, so that steps do
+not depend on the grid; a_i repeats a share of the last step (momentum, restarted by a step that
+fails): after 15 steps 8 of 12 problems were within 1e-4 of their minimum with it, and 3 without.
 """
 
 import math
@@ -63,7 +63,7 @@ class Point:
     stretch : float
         Factor on all durations.
     merit : float
-        Duration and weighted error [s].
+        Duration, weighted error and effort [s].
     error : ndarray, shape (8,)
         e: position [1/s], vector part of q conj(q_d), speeds of the end [1/U], momentum or tilt.
     by_knots : ndarray, shape (8, 2 N)
@@ -121,6 +121,7 @@ def expand_error(problem: MinimumTimeProblem, v: Vector, stretch: float = 1.0) -
         by_stretch[7] = by_turn @ motion.by_stretch[steady, QUATERNION]
     by_knots[:, _fixed(problem)] = 0.0
     merit = duration + problem.error_weight * float(np.sum(np.abs(error)))
+    merit += problem.effort(inputs, stretch)
     return Point(v, stretch, merit, error, by_knots, by_stretch, inputs, motion.states)
 
 
@@ -156,7 +157,7 @@ def minimise_time(
     status = SolveStatus.CAPPED
     if not math.isfinite(here.merit):
         status = SolveStatus.NOT_FINITE
-    elif here.merit - here.stretch * whole < settings.target_cost:
+    elif program.weighed(here.error) < settings.target_cost:
         status = SolveStatus.CONVERGED
     while status is SolveStatus.CAPPED and iterations < settings.max_iterations:
         if time.perf_counter() - began > time_budget:
@@ -169,9 +170,9 @@ def minimise_time(
             break
         z, s = step
         linear = here.error + here.by_stretch * s + here.by_knots @ z
-        error = problem.error_weight * float(np.sum(np.abs(linear)))
-        residual = here.merit - here.stretch * (1.0 + s) * whole - error
         trial = program.moved(here, z, s)
+        residual = here.merit - here.stretch * (1.0 + s) * whole - program.weighed(linear)
+        residual -= problem.effort(trial.inputs, trial.stretch)
         if not here.merit - trial.merit >= _CORRECTED * residual:
             again = program.step(here, proximal, pull, here.error + trial.error - linear)
             corrected = None if again is None else program.moved(here, *again)
@@ -187,7 +188,7 @@ def minimise_time(
         else:
             pull, succession = np.zeros(v.size), 0
             proximal = min(max(2.0 * proximal, curvature), 16.0 * proximal)
-        left = here.merit - here.stretch * whole
+        left = program.weighed(here.error)
         if residual < settings.decrease_floor or left < settings.target_cost:
             status = SolveStatus.CONVERGED
         elif not proximal < _LARGEST_PROXIMAL:
@@ -204,8 +205,8 @@ def minimise_time(
 class _Program:
     """Limits of the scaled knots v, and the convex program of a step that keeps them.
 
-    Its variables are z, s, and by how much each residual is above and below zero; CasADi solves it
-    by an interior-point method.
+    Its variables are z, s, by how much each residual is above and below zero, and with effort the
+    magnitudes of changes; CasADi solves it by an interior-point method.
     """
 
     def __init__(self, problem: MinimumTimeProblem) -> None:
@@ -215,7 +216,8 @@ class _Program:
         self._first = problem.input_in_force / scale
         # Change that is allowed for each knot at a stretch of 1.
         self._reach = problem.max_acceleration / scale * np.repeat(durations, INPUT_SIZE)
-        self._solver, self._rows = _convex_program(self._reach.size)
+        self._solver, self._rows = _convex_program(self._reach.size, problem.effort_weight > 0.0)
+        self._least = problem.least_duration / float(np.sum(durations))
         after = np.append(durations[1:], 0.0)
         self.metric = np.repeat(0.5 * (durations + after) / np.mean(durations), INPUT_SIZE)
 
@@ -234,12 +236,17 @@ class _Program:
             move(i, v[i - 2] if i >= 2 else self._first[i], self._reach[i])
         for i in range(v.size - 3, -1, -1):
             move(i, v[i + 2], self._reach[i + 2])
-        return v, max(1.0, float(np.max(np.abs(self._changes(v)) / self._reach)))
+        return v, max(1.0, self._least, float(np.max(np.abs(self._changes(v)) / self._reach)))
+
+    def weighed(self, error: Vector) -> float:
+        """Return the time that a terminal error is worth [s]."""
+        return self._problem.error_weight * float(np.sum(np.abs(error)))
 
     def moved(self, here: Point, z: Vector, s: float) -> Point:
         """Return the point after a step."""
         v = np.clip(here.v + z, self._lower, self._upper)
-        return expand_error(self._problem, v, here.stretch * (1.0 + s))
+        stretch = max(here.stretch * (1.0 + s), self._least)
+        return expand_error(self._problem, v, stretch)
 
     def _changes(self, v: Vector) -> Vector:
         """Return the change of each knot from the one before."""
@@ -257,17 +264,24 @@ class _Program:
         up = np.where(self._free, np.minimum(self._upper - here.v, _LARGEST_CHANGE), 0.0)
         reach, change = here.stretch * self._reach, self._changes(here.v)
         infinite = np.full(ROWS, np.inf)
+        shortest = max(-_LARGEST_STRETCH, self._least / here.stretch - 1.0)
         duration = here.stretch * float(np.sum(problem.durations))
         weights = np.full(2 * ROWS, problem.error_weight)
-        rows = self._rows(here.by_knots, here.by_stretch, reach)
+        intervals = np.repeat(here.stretch * problem.durations, INPUT_SIZE)
+        effort = 2.0 * problem.effort_weight * intervals / reach**2
+        if problem.effort_weight > 0.0:
+            duration += 0.5 * float(np.sum(effort * change**2))
+        effort = effort[effort > 0.0]
+        own, any_value = change[: effort.size], np.full(effort.size, np.inf)
+        metric = proximal * self.metric
         found = self._solver(
-            h=casadi.diag(np.concatenate((proximal * self.metric, np.zeros(1 + 2 * ROWS)))),
-            g=np.concatenate((-proximal * self.metric * pull, [duration], weights)),
-            a=rows,
-            lba=np.concatenate((-error, -np.inf * reach, -reach - change)),
-            uba=np.concatenate((-error, reach - change, np.inf * reach)),
-            lbx=np.concatenate((down, [-_LARGEST_STRETCH], np.zeros(2 * ROWS))),
-            ubx=np.concatenate((up, [_LARGEST_STRETCH], infinite, infinite)),
+            h=casadi.diag(np.concatenate((metric, np.zeros(1 + 2 * ROWS), effort))),
+            g=np.concatenate((-metric * pull, [duration], weights, np.zeros(own.size))),
+            a=self._rows(here.by_knots, here.by_stretch, reach, change),
+            lba=np.concatenate((-error, -np.inf * reach, -reach - change, -any_value, -own)),
+            uba=np.concatenate((-error, reach - change, np.inf * reach, -own, any_value)),
+            lbx=np.concatenate((down, [shortest], np.zeros(2 * ROWS + own.size))),
+            ubx=np.concatenate((up, [_LARGEST_STRETCH], infinite, infinite, any_value)),
         )
         if not self._solver.stats()["success"]:
             return None
@@ -275,24 +289,30 @@ class _Program:
         return x[:size], float(x[size])
 
 
-def _convex_program(size: int) -> tuple[Any, Any]:
+def _convex_program(size: int, has_effort: bool) -> tuple[Any, Any]:
     """Return CasADi's solver for `size` knots, and the function that returns its rows.
 
-    Rows: E z + b s - above + below, then changes of knots less and plus what s adds to the reach.
+    Rows: E z + b s - above + below, then changes of knots less and plus what s adds to the reach;
+    where it `has_effort` also changes, less what s takes of them, less and plus their magnitudes.
     """
     difference = np.eye(size) - np.eye(size, k=-INPUT_SIZE)
-    none = np.zeros((size, 2 * ROWS))
+    own = size if has_effort else 0
+    none, magnitudes = np.zeros((size, 2 * ROWS)), np.eye(size, own)
 
-    def rows(by_knots: Vector, by_stretch: Vector, reach: Vector) -> Vector:
+    def rows(by_knots: Vector, by_stretch: Vector, reach: Vector, change: Vector) -> Vector:
+        def changes(by_s: Vector, sign: float) -> Vector:
+            return np.hstack((difference, by_s[:, None], none, sign * magnitudes))
+
+        errors = np.hstack((by_knots, by_stretch[:, None], -np.eye(ROWS), np.eye(ROWS)))
         return np.vstack((
-            np.hstack((by_knots, by_stretch[:, None], -np.eye(ROWS), np.eye(ROWS))),
-            np.hstack((difference, -reach[:, None], none)),
-            np.hstack((difference, reach[:, None], none)),
+            np.hstack((errors, np.zeros((ROWS, own)))), changes(-reach, 0.0), changes(reach, 0.0),
+            changes(-change, -1.0)[:own], changes(-change, 1.0)[:own],
         ))
 
-    columns = size + 1 + 2 * ROWS
+    columns = size + 1 + 2 * ROWS + own
     structure = {
-        "h": casadi.Sparsity.diag(columns), "a": casadi.Sparsity.dense(ROWS + 2 * size, columns),
+        "h": casadi.Sparsity.diag(columns),
+        "a": casadi.Sparsity.dense(ROWS + 2 * size + 2 * own, columns),
     }
     options = {
         "print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False,

@@ -149,14 +149,15 @@ class MinimumTimeProblem(Shooting):
 
     Minimise, for the knots and sigma,
 
-        sigma sum_{m=1}^{N} h_m + w |e|_1
+        sigma sum_{m=1}^{N} h_m + w |e|_1 + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
 
-    subject to |u_m - u_{m-1}| <= a sigma h_m. The terminal error e consists of
-    s (p_N - p_d - v_d t_N), the vector part of q_N conj(q_d) times w_q, by component,
-    (u_N - u_f - (R(q_d)^T h_N)_1,2) / U, and r_h . h_N with momentum or torques, or else t, the
-    tilt of the axis at the start of an interval of steady rolling. By default the sphere rests at
-    the end, and the third part is left out where the end is free. Without momentum and torques
-    u_N is fixed, and that part is by how much u_f exceeds the bounds.
+    subject to |u_m - u_{m-1}| <= a sigma h_m and sigma sum_m h_m >= t_min. The last sum is the
+    effort [s]: the time for which rotors accelerate, by the square of the share of the limit. The
+    terminal error e consists of s (p_N - p_d - v_d t_N), the vector part of q_N conj(q_d) times
+    w_q, by component, (u_N - u_f - (R(q_d)^T h_N)_1,2) / U, and r_h . h_N with momentum or torque,
+    or else t, the tilt of the axis at the start of an interval of steady rolling. By default the
+    sphere rests at the end, and the third part is left out where the end is free. Without momentum
+    and torques u_N is fixed, and that part is by how much u_f exceeds the bounds.
 
     Attributes
     ----------
@@ -175,6 +176,10 @@ class MinimumTimeProblem(Shooting):
     whole_turns : float
         Time in that interval [s] that is not integrated, a multiple of what a turn of the shell
         takes: it leaves the orientation as it is and adds to the way in proportion.
+    effort_weight : float
+        w_f, the time that a second of effort is worth [-].
+    least_duration : float
+        t_min [s].
     """
 
     error_weight: float
@@ -182,6 +187,14 @@ class MinimumTimeProblem(Shooting):
     steady_interval: int = 0
     steady_axis: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
     whole_turns: float = 0.0
+    effort_weight: float = 0.0
+    least_duration: float = 0.0
+
+    def effort(self, inputs: Vector, stretch: float) -> float:
+        """Return the effort [s] of speeds u_0 ... u_N, (N + 1, 2) [rad/s], times its weight."""
+        durations = stretch * self.durations
+        share = np.diff(inputs, axis=0) / (self.max_acceleration * durations[:, None])
+        return self.effort_weight * float(np.sum(durations[:, None] * share * share))
 
 
 Problem = LeastSquaresProblem | MinimumTimeProblem

@@ -45,7 +45,8 @@ _DIFFERENT = 1e-3
 _FIELDS: dict[type, dict[str, Any]] = {
     Plan: {
         "status": PlanStatus, "hold": FirstOrderHold, "leg": Leg, "error": Real, "until": Real,
-        "tolerance": Real, "conditions": tuple, "made": Made,
+        "tolerance": Real, "conditions": tuple, "made": Made, "asked": Real,
+        "spared": Real,
     },
     Leg: {"goal": Goal, "end": LegEnd, "time_left": Real, "way_left": Real},
     Goal: {"since": Real},

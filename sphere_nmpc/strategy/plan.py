@@ -104,6 +104,10 @@ class Plan:
         Difference of the estimated state from the predicted one that is nothing new, in R^6.
     made : Made
         How it was made.
+    asked : float
+        Time before which it need not arrive [s]; -inf where that is as early as possible.
+    spared : float
+        Time by which it arrives later than the earliest arrival found [s], to spare the motors.
     """
 
     status: PlanStatus
@@ -116,6 +120,8 @@ class Plan:
     until: float = -math.inf
     tolerance: float = 0.0
     made: Made = _UNKNOWN
+    asked: float = -math.inf
+    spared: float = 0.0
 
     @property
     def end(self) -> float:
@@ -131,6 +137,11 @@ class Plan:
     def arrival(self) -> float:
         """Time of the arrival at the goal of the course that is aimed at [s]; nan if not told."""
         return self.leg.goal.since + self.leg.time_left
+
+    @property
+    def cost(self) -> float:
+        """Arrival that plans are compared by [s]: without the time that spares the motors."""
+        return self.arrival - self.spared
 
     @property
     def momentum(self) -> Vector:
@@ -196,7 +207,10 @@ class Plan:
     def delayed(self, offset: float) -> "Plan":
         """Return the same plan `offset` seconds later."""
         goal = replace(self.leg.goal, since=self.leg.goal.since + offset)
-        return replace(self, hold=self.hold.delayed(offset), leg=replace(self.leg, goal=goal))
+        return replace(
+            self, hold=self.hold.delayed(offset), leg=replace(self.leg, goal=goal),
+            asked=self.asked + offset,
+        )
 
     def spliced(self, hold: FirstOrderHold, states: Vector) -> "Plan":
         """Return the plan with speeds and states, shape (K, 9), that follow from its end on.

@@ -135,7 +135,8 @@ def _parser() -> argparse.ArgumentParser:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
         "--scenarios", type=Path, metavar="FILE.csv",
-        help="starts and goals: x,y,qw,qx,qy,qz,goal_x,...,goal_qz and, optionally, seed",
+        help="starts and goals: x,y,qw,qx,qy,qz,goal_x,...,goal_qz and, optionally, seed; or "
+        "starts and path, a CSV file of x,y, and path_speed",
     )
     source.add_argument(
         "--draw", type=whole(1, _MOST_DRAWN), metavar="N",

@@ -1,8 +1,9 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run: errors over time, when it has settled, peaks, touches."""
+"""Metrics of a run: errors over time, when it has settled, deviations from paths, peaks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
+from sphere_nmpc.model.torque import heat_and_energy
 
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
@@ -34,6 +37,8 @@ class Metrics:
         `errors_to`.
     max_rotor_speed, max_rotor_torque_nm : float
         Largest magnitudes [rad/s], [N m].
+    heat, energy_j : float
+        Integrals of the motor torques squared [N^2 m^2 s] and of |torque times speed| [J].
     solve_ms_p50, solve_ms_p99 : float
         Median and 99th percentile of the solve time [ms], of the instants at which a plan was
         solved, rather than kept in 0 s.
@@ -46,6 +51,8 @@ class Metrics:
     final_orientation_error_rad: float
     max_rotor_speed: float
     max_rotor_torque_nm: float
+    heat: float
+    energy_j: float
     solve_ms_p50: float
     solve_ms_p99: float
 
@@ -174,14 +181,17 @@ class GoalRun:
 
 
 def measure(
-    times: Vector, states: Vector, goal: Goal, rotor_speeds: Vector, rotor_torques: Vector,
-    solve_times: Vector,
+    times: Vector, states: Vector, goal: Goal, joint_times: Vector, rotor_speeds: Vector,
+    rotor_torques: Vector, solve_times: Vector,
 ) -> Metrics:
     """Return the metrics of a run towards one goal that does not move.
 
     `states`, shape (n, 6), are at `times` since the goal was set [s]. Rotor speeds [rad/s] and
-    torques [N m], shape (m, 2), and the solve times [s], (k,), are of any times.
+    torques [N m], shape (m, 2), are at times of their own, the solve times [s], (k,), of any.
     """
+    heat, energy = heat_and_energy(
+        np.diff(joint_times), rotor_speeds, rotor_torques[:-1], rotor_torques[1:]
+    ).tolist()
     errors = errors_to(goal, states)
     stay = stay_below(times, errors[:, 0])
     final_error, final_distance, final_angle = errors[-1].tolist()
@@ -190,6 +200,7 @@ def measure(
         final_error=final_error, final_position_error_m=final_distance,
         final_orientation_error_rad=final_angle,
         max_rotor_speed=_peak(rotor_speeds), max_rotor_torque_nm=_peak(rotor_torques),
+        heat=heat, energy_j=energy,
         solve_ms_p50=_percentile(solve_times, 50.0), solve_ms_p99=_percentile(solve_times, 99.0),
     )
 
@@ -202,6 +213,63 @@ def _peak(values: NDArray[np.float64]) -> float:
 def _percentile(solve_times: Vector, percent: float) -> float:
     solved = solve_times[np.isfinite(solve_times) & (solve_times > 0.0)]
     return 1e3 * float(np.percentile(solved, percent)) if solved.size else math.nan
+
+
+def deviations(paths: Sequence[Path], places: Vector, reach: float) -> tuple[Vector, Vector]:
+    """Return the distances from paths followed in order, and the lengths followed [m].
+
+    Both are of all places, shape (N, 2). The length changes by up to `reach` [m] from one to the
+    next, so that parts of a path that come near one another do not stand for one another. A path
+    is left, within the tolerance of its end, where the next one is as near.
+    """
+    index, way, before = 0, 0.0, 0.0
+    found = []
+    for place in places:
+        path = paths[index]
+        way = path.nearest(place, way - reach, way + reach)
+        away = _distance(path, way, place)
+        if index + 1 < len(paths) and way > path.length - path.tolerance:
+            then = paths[index + 1].nearest(place, 0.0, reach)
+            other = _distance(paths[index + 1], then, place)
+            if other <= away:
+                index, before, way, away = index + 1, before + path.length, then, other
+        found.append((away, before + way))
+    distances, ways = np.array(found).T
+    return distances, ways
+
+
+def _distance(path: Path, way: float, place: Vector) -> float:
+    return math.hypot(*(path.at(way)[:2] - place))
+
+
+def measure_along(
+    times: Vector, places: Vector, paths: Sequence[Path], reach: float
+) -> tuple[float, float, float]:
+    """Return how far a run along paths deviates and how long it takes; nan if it never does.
+
+    It is judged from when it is first on the path, within the tolerance, until it stays at the
+    end, to `SETTLED_ERROR`, having followed all of the rest; otherwise to the last of the times.
+
+    Returns
+    -------
+    rms, largest : float
+        Root of the mean square over time and largest distance [m]; see `deviations`.
+    duration : float
+        How long it takes [s]; nan where it does not come to the end.
+    """
+    away, ways = deviations(paths, places, reach)
+    near = away <= paths[0].tolerance
+    if not near.any():
+        return math.nan, math.nan, math.nan
+    first, last = int(np.argmax(near)), len(places)
+    whole = ways > sum(path.length for path in paths) - SETTLED_ERROR
+    since = settling_index(np.linalg.norm(places - paths[-1].places[-1], axis=1))
+    duration = math.nan
+    if since is not None and whole[-1]:
+        last = max(since, int(np.argmax(whole)))
+        duration = float(times[last] - times[first])
+    away = away[first : last + 1]
+    return float(np.sqrt(np.mean(away**2))), float(np.max(away)), duration
 
 
 def touches(clearances: Vector) -> NDArray[np.intp]:

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the recorder, its default topics, and topic patterns.
 
-``goal_pose``, ``goal_point`` and ``goals`` are not recorded by default: ``ros2 topic pub --once``
-publishes to its first matched subscription and ends, so that with a recorder among the subscribers
-the goal may never reach the controller. Accepted goals are on ``controller/active_goal``, refused
-ones in ``/rosout``. For the same reason pushes are recorded from ``simulator/pushed``, ``map`` and
-``keepout`` as they are put together on ``controller/floor``, and ``initialpose`` is not
-recorded. Nor is ``imu``, which a simulator reads only for a subscriber.
+``goal_pose``, ``goal_point``, ``goals`` and ``path`` are not recorded by default: ``ros2 topic pub
+--once`` publishes to its first matched subscription and ends, so that with a recorder among the
+subscribers the goal may never reach the controller. Accepted goals are on
+``controller/active_goal``, paths on ``controller/path``, refused ones in ``/rosout``. For the same
+reason pushes are recorded from ``simulator/pushed``, ``map`` and ``keepout`` as they are put
+together on ``controller/floor``, and ``initialpose`` is not recorded. Nor is ``imu``, which a
+simulator reads only for a subscriber.
 """
 
 from collections.abc import Sequence
@@ -49,6 +50,7 @@ KNOWN_TYPES = {
     "controller/active_goal": "geometry_msgs/msg/PoseStamped",
     "controller/status": "diagnostic_msgs/msg/DiagnosticStatus",
     "controller/floor": "nav_msgs/msg/OccupancyGrid",
+    "controller/path": "nav_msgs/msg/Path",
     "simulator/pushed": "geometry_msgs/msg/Vector3Stamped",
     "/clock": "rosgraph_msgs/msg/Clock",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
@@ -56,7 +58,7 @@ KNOWN_TYPES = {
 """Types of topics that are subscribed to before they have a publisher, so that their first
 messages are not missed; messages of another type on these topics are of another sender."""
 
-LATCHED = ("controller/active_goal", "controller/floor")
+LATCHED = ("controller/active_goal", "controller/floor", "controller/path")
 """Topics among these whose publisher keeps the last message for late subscribers."""
 
 

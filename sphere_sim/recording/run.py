@@ -276,8 +276,8 @@ class Run:
             return None
         run = self.to_goal(len(self.goals))
         return measure(
-            run.times, run.states, run.goals[0], run.rotor_speeds, run.rotor_torques,
-            run.solves.durations,
+            run.times, run.states, run.goals[0], run.joint_times, run.rotor_speeds,
+            run.rotor_torques, run.solves.durations,
         )
 
 

@@ -93,6 +93,8 @@ def _motion_results(run: Run) -> list[tuple[str, str]]:
         ("final angle", angle),
         ("largest rotor speed", _number(metrics.max_rotor_speed, "rad/s")),
         ("largest rotor torque", _number(metrics.max_rotor_torque_nm, "N m")),
+        ("heat, integral of torque squared", _number(metrics.heat, "N² m² s")),
+        ("energy, integral of |torque times speed|", _number(metrics.energy_j, "J")),
         ("solve time, median", _number(metrics.solve_ms_p50, "ms")),
         ("solve time, p99", _number(metrics.solve_ms_p99, "ms")),
     ]

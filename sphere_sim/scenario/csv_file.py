@@ -5,29 +5,45 @@
 ``x, y, qw, qx, qy, qz`` are the start and ``goal_x ... goal_qz`` the goal. ``seed`` is optional;
 by default it is the number of the row, counted from 0. ``push_x, push_y, push_time`` are a push,
 and columns named like settings of the disturbances, such as ``slope``, have values for the run;
-all these may be absent or empty. Other columns are copied to the results.
+all these may be absent or empty. ``path`` names a CSV file of ``x, y``, along which the run leads
+to the last place, and ``path_speed`` is its speed; the goal of such a run may be absent or empty
+and is not read. Other columns are copied to the results.
 """
 
+import contextlib
 import csv
+import io
 import math
-import stat
+import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TextIO
 
+import numpy as np
+
 from sphere_nmpc.errors import InvalidParameterError, InvalidStateError, SphereNmpcError
+from sphere_nmpc.foreign_file import InvalidFileError, open_file
 from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
 from sphere_nmpc.quantity import counted
-from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
+from sphere_nmpc.settings import ControllerSettings
+from sphere_sim.scenario.scenarios import (
+    DISTURBANCE_COLUMNS,
+    PATH_SPEED_COLUMN,
+    PUSH_COLUMNS,
+    GivenPath,
+    Scenario,
+)
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 START_COLUMNS = ("x", "y", "qw", "qx", "qy", "qz")
 GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
 STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
 SEED_COLUMN = "seed"
+PATH_COLUMN = "path"
+PLACE_COLUMNS = ("x", "y")
 
 LARGEST_FILE = 2**28
 """Largest file that is read [bytes]."""
@@ -38,10 +54,15 @@ LARGEST_SEED = 2**31 - 1
 """Largest seed."""
 STRONGEST_PUSH = 1e3
 """Largest component of a push [N s]."""
+SHORTEST_PATH = 1e-3
+"""Least distance of some place of a path from its first one [m]."""
+
+Row = tuple[int, dict[str, str]]
+"""Line and texts by column."""
 
 
 class ScenarioFileError(SphereNmpcError, ValueError):
-    """A scenario file cannot be read or is invalid; lines are counted from 1."""
+    """A file of scenarios or places cannot be read or is invalid; lines are counted from 1."""
 
     exit_code = 2
 
@@ -61,41 +82,51 @@ class ScenarioFileError(SphereNmpcError, ValueError):
 
 
 def read_scenarios(path: Path) -> list[Scenario]:
-    """Read all scenarios of a file, at least one; `ScenarioFileError` names what is wrong."""
+    """Read all scenarios of a file; `ScenarioFileError` names what is wrong."""
+    paths: dict[Path, Vector] = {}
+    with _opened(path) as file:
+        return [
+            _scenario(path, line, fields, index, paths)
+            for index, (line, fields) in enumerate(_rows(path, file, _needed_columns, "scenario"))
+        ]
+
+
+def _needed_columns(names: Sequence[str]) -> Sequence[str]:
+    return START_COLUMNS if PATH_COLUMN in names else STATE_COLUMNS
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    """Open a file, and raise what cannot be read of it as `ScenarioFileError`."""
     try:
-        _refuse_unreadable(path)
         # utf-8-sig: some spreadsheets write a byte order mark before the first name.
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(_rows(path, file))
+        stream = open_file(path, LARGEST_FILE)
+        with io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as file:
+            yield file
     except UnicodeDecodeError as error:
         raise ScenarioFileError(
             path, f"the byte 0x{error.object[error.start]:02x}", "text encoded in UTF-8",
             _line_of_bad_byte(path),
         ) from None
+    except InvalidFileError as error:
+        raise ScenarioFileError(path, str(error.given), error.expected) from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise ScenarioFileError(path, reason.lower(), "a CSV file that can be read") from None
-    if not rows:
-        raise ScenarioFileError(path, "a header alone", "at least one scenario")
-    return rows
 
 
-def _refuse_unreadable(path: Path) -> None:
-    """Raise an error for devices and pipes, which may have no end, and for too large files."""
-    about = path.stat()
-    kinds = {stat.S_ISDIR: "a directory", stat.S_ISFIFO: "a pipe", stat.S_ISREG: ""}
-    given = next((kind for test, kind in kinds.items() if test(about.st_mode)), "a device")
-    if given:
-        raise ScenarioFileError(path, given, "a CSV file")
-    if about.st_size > LARGEST_FILE:
-        raise ScenarioFileError(
-            path, f"{about.st_size / 2**20:.0f} MiB", f"at most {LARGEST_FILE / 2**20:.0f} MiB"
-        )
+def _rows(
+    path: Path, file: TextIO, needed: Callable[[Sequence[str]], Sequence[str]], what: str,
+    most: int | None = None,
+) -> Iterator[Row]:
+    """Yield all rows of a file, at least one, without blank ones.
 
-
-def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
+    `needed` returns the columns that are needed beside given ones, `what` is what a row is, and
+    `most` the number of fields; where it is given, numbers in the first row are no header.
+    """
     reader = csv.reader(file, strict=True)
-    header: list[str] | None = None
+    header: Sequence[str] | None = None
+    limit = MOST_FIELDS if most is None else most
     number = 0
     while True:
         line = reader.line_num + 1
@@ -107,26 +138,31 @@ def _rows(path: Path, file: TextIO) -> Iterator[Scenario]:
             break
         if not any(text.strip() for text in fields):
             continue
+        if header is None and most is not None and math.isfinite(_value(fields[0])):
+            header = needed(())
         if header is None:
-            header = _header(path, line, [text.strip() for text in fields])
+            header = [text.strip() for text in fields]
+            _check_header(path, line, header, needed(header))
             continue
         if len(fields) != len(header):
             raise ScenarioFileError(
                 path, counted(len(fields), "field"), f"{len(header)}, as in the header", line
             )
         number += 1
-        if number * len(header) > MOST_FIELDS:
+        if number * len(header) > limit:
             raise ScenarioFileError(
-                path, f"more than {MOST_FIELDS} fields",
-                f"at most {MOST_FIELDS // len(header)} rows of {len(header)} columns", line,
+                path, f"more than {limit} fields",
+                f"at most {limit // len(header)} rows of {len(header)} columns", line,
             )
-        yield _row(path, line, dict(zip(header, fields, strict=True)), number - 1)
+        yield line, dict(zip(header, fields, strict=True))
     if header is None:
-        raise ScenarioFileError(path, "an empty file", f"a header {','.join(STATE_COLUMNS)}")
+        raise ScenarioFileError(path, "an empty file", f"a header {','.join(needed(()))}")
+    if not number:
+        raise ScenarioFileError(path, "a header alone", f"at least one {what}")
 
 
-def _header(path: Path, line: int, names: list[str]) -> list[str]:
-    for name in STATE_COLUMNS:
+def _check_header(path: Path, line: int, names: Sequence[str], needed: Sequence[str]) -> None:
+    for name in needed:
         if name not in names:
             raise ScenarioFileError(
                 path, f"the columns {shown(','.join(names))}", "a column of this name", line, name
@@ -134,37 +170,81 @@ def _header(path: Path, line: int, names: list[str]) -> list[str]:
     for name, times in Counter(names).items():
         if times > 1:
             raise ScenarioFileError(path, "a name twice", "each column once", line, name)
-    return names
 
 
-def _row(path: Path, line: int, fields: dict[str, str], number: int) -> Scenario:
-    given = {name: fields.pop(name).strip() for name in STATE_COLUMNS}
+def _scenario(
+    path: Path, line: int, fields: dict[str, str], number: int, paths: dict[Path, Vector]
+) -> Scenario:
+    given = {name: fields.pop(name, "").strip() for name in STATE_COLUMNS}
     seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), number)
-    start, goal = (_state(path, line, given, names) for names in (START_COLUMNS, GOAL_COLUMNS))
+    start = _state(path, line, given, START_COLUMNS)
+    named = fields.pop(PATH_COLUMN, "").strip()
+    follows = _path(path, line, named, paths) if named else None
+    goal = _state(path, line, given, GOAL_COLUMNS) if follows is None else follows.end
     push = _push(path, line, {name: fields.pop(name, "").strip() for name in PUSH_COLUMNS})
-    values = {name: fields.pop(name, "").strip() for name in DISTURBANCE_COLUMNS}
-    disturbances = _disturbances(path, line, {n: text for n, text in values.items() if text})
-    return Scenario(start, goal, seed, fields, given, push, disturbances)
+    disturbances = _settings(path, line, fields, DisturbanceSettings, DISTURBANCE_COLUMNS)
+    speed = _settings(path, line, fields, ControllerSettings, (PATH_SPEED_COLUMN,))
+    return Scenario(
+        start, goal, seed, fields, given, push, disturbances, follows, speed.get(PATH_SPEED_COLUMN)
+    )
+
+
+def _path(path: Path, line: int, text: str, known: dict[Path, Vector]) -> GivenPath:
+    """Return the path that a scenario names; each file is read once."""
+    file = (path.parent / os.path.expanduser(text)).absolute()
+    try:
+        if file not in known:
+            most = MOST_FIELDS - sum(places.size for places in known.values())
+            known[file] = read_places(file, most)
+        if np.max(np.abs(known[file] - known[file][0])) < SHORTEST_PATH:
+            raise ScenarioFileError(file, "one place", f"some {SHORTEST_PATH:g} m apart")
+    except ScenarioFileError as error:
+        if error.line is not None:
+            raise
+        given = f"{shown(text)}, {error.given}"
+        raise ScenarioFileError(path, given, error.expected, line, PATH_COLUMN) from None
+    return GivenPath(known[file], file)
+
+
+def read_places(path: Path, most: int) -> Vector:
+    """Return the places [m] in a file, of so many fields at most, shape (P, 2).
+
+    The columns are ``x`` and ``y``, in this order where there is no header. `ScenarioFileError` is
+    raised as by `read_scenarios`.
+    """
+    with _opened(path) as file:
+        places = np.array([
+            [_number(path, line, name, fields[name], FARTHEST) for name in PLACE_COLUMNS]
+            for line, fields in _rows(path, file, lambda _: PLACE_COLUMNS, "place", most)
+        ])
+    places.flags.writeable = False
+    return places
 
 
 def _push(path: Path, line: int, texts: dict[str, str]) -> Push | None:
     if not any(texts.values()):
         return None
-    east, north, time = (_number(path, line, name, text) for name, text in texts.items())
-    for name, value in zip(PUSH_COLUMNS, (east, north), strict=False):
-        if abs(value) > STRONGEST_PUSH:
-            expected = f"-{STRONGEST_PUSH:g} to {STRONGEST_PUSH:g} [N s]"
-            raise ScenarioFileError(path, shown(texts[name]), expected, line, name)
+    limits = STRONGEST_PUSH, STRONGEST_PUSH, math.inf
+    east, north, time = (
+        _number(path, line, name, texts[name], most, "N s")
+        for name, most in zip(PUSH_COLUMNS, limits, strict=True)
+    )
     if time < 0.0:
         name = PUSH_COLUMNS[-1]
         raise ScenarioFileError(path, shown(texts[name]), "a time from 0 on [s]", line, name)
     return Push(time, (east, north))
 
 
-def _disturbances(path: Path, line: int, texts: dict[str, str]) -> dict[str, float]:
+def _settings(
+    path: Path, line: int, fields: dict[str, str], kind: Callable[..., object],
+    names: Sequence[str],
+) -> dict[str, float]:
+    """Take the columns of settings of a kind out of the fields."""
+    texts = {name: text for name in names if (text := fields.pop(name, "").strip())}
     values = {name: _number(path, line, name, text) for name, text in texts.items()}
     try:
-        DisturbanceSettings(**values)
+        if values:
+            kind(**values)
     except InvalidParameterError as error:
         name = error.name
         raise ScenarioFileError(path, shown(texts[name]), error.expected, line, name) from None
@@ -172,12 +252,11 @@ def _disturbances(path: Path, line: int, texts: dict[str, str]) -> dict[str, flo
 
 
 def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...]) -> Vector:
-    values = [_number(path, line, name, given[name]) for name in names]
-    for name, value in zip(names[:2], values, strict=False):
-        if abs(value) > FARTHEST:
-            raise ScenarioFileError(
-                path, shown(given[name]), f"-{FARTHEST:g} to {FARTHEST:g} [m]", line, name
-            )
+    limits = [FARTHEST] * 2 + [math.inf] * 4
+    values = [
+        _number(path, line, name, given[name], most)
+        for name, most in zip(names, limits, strict=True)
+    ]
     try:
         return as_state(values)
     except InvalidStateError:
@@ -188,15 +267,24 @@ def _state(path: Path, line: int, given: dict[str, str], names: tuple[str, ...])
         ) from None
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
-    try:
-        # Python accepts 1_000, which other readers of CSV do not.
-        value = math.nan if "_" in text else float(text)
-    except ValueError:
-        value = math.nan
+def _number(
+    path: Path, line: int, name: str, text: str, most: float = math.inf, unit: str = "m"
+) -> float:
+    """Return a finite number, of at most this magnitude."""
+    value = _value(text)
     if not math.isfinite(value):
         raise ScenarioFileError(path, shown(text), "a finite number", line, name)
+    if abs(value) > most:
+        raise ScenarioFileError(path, shown(text), f"-{most:g} to {most:g} [{unit}]", line, name)
     return value
+
+
+def _value(text: str) -> float:
+    try:
+        # Python accepts 1_000, which other readers of CSV do not.
+        return math.nan if "_" in text else float(text)
+    except ValueError:
+        return math.nan
 
 
 def _seed(path: Path, line: int, text: str, number: int) -> int:

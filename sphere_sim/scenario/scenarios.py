@@ -5,6 +5,7 @@
 SciPy is imported where it is used, as it takes long to load.
 """
 
+import pathlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
@@ -14,6 +15,9 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.model.course import Course
+from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import DEFAULT_START, POSITION, Vector, as_state, make_state
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
@@ -25,6 +29,21 @@ PUSH_COLUMNS = ("push_x", "push_y", "push_time")
 """Columns of scenario files for a push: impulse [N s; world], time [s]."""
 DISTURBANCE_COLUMNS = tuple(setting.name for setting in fields(DisturbanceSettings))
 """Columns of scenario files with settings of this name."""
+PATH_SPEED_COLUMN = "path_speed"
+"""Column of scenario files with this setting of the controller."""
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPath:
+    """Places that a scenario gives as its path, shape (P, 2) [m], and the file that has them."""
+
+    places: Vector
+    file: pathlib.Path
+
+    @property
+    def end(self) -> Vector:
+        """The last place as a state, shape (6,); any orientation will do."""
+        return make_state(self.places[-1], (1.0, 0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +65,10 @@ class Scenario:
         Push during the run.
     disturbances : dict of str to float
         Settings of `sphere_sim.world.disturbances.DisturbanceSettings` of this run.
+    follows : GivenPath, optional
+        Path of the run, at whose end is its goal.
+    path_speed : float, optional
+        Setting of the controller of this run [m/s].
     """
 
     start: Vector
@@ -55,6 +78,14 @@ class Scenario:
     given: dict[str, str] = field(default_factory=dict)
     push: Push | None = None
     disturbances: dict[str, float] = field(default_factory=dict)
+    follows: GivenPath | None = None
+    path_speed: float | None = None
+
+    def course(self, tolerance: float, radius: float) -> Course:
+        """Return the course of the run; see `Path.through` for what a path needs."""
+        if self.follows is None:
+            return Course.of(Goal(as_state(self.goal)))
+        return Course.along(*Path.through(self.follows.places, tolerance, radius))
 
     @property
     def optional(self) -> dict[str, float]:
@@ -64,7 +95,8 @@ class Scenario:
             values = (*self.push.impulse, self.push.time)
             push = dict(zip(PUSH_COLUMNS, values, strict=True))
         kept = {n: self.disturbances[n] for n in DISTURBANCE_COLUMNS if n in self.disturbances}
-        return push | kept
+        speed = {} if self.path_speed is None else {PATH_SPEED_COLUMN: self.path_speed}
+        return push | kept | speed
 
 
 def _paper_case(start: Sequence[float], goal: Sequence[float]) -> Scenario:

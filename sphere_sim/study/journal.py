@@ -96,6 +96,7 @@ def code_digest() -> str:
 def _scenario_bytes(scenarios: Sequence[Scenario]) -> Iterator[bytes]:
     for scenario in scenarios:
         yield scenario.start.tobytes() + scenario.goal.tobytes()
+        yield b"" if scenario.follows is None else scenario.follows.places.tobytes()
         about = [scenario.seed, scenario.extra, scenario.given, scenario.optional]
         yield json.dumps(about).encode()
 

@@ -80,9 +80,10 @@ def motion_of(
     """
     settings = replace(settings, **scenario.disturbances)
     disturbance = disturbance_of(settings, robot)
+    along = Orientation.FULL if scenario.follows is None else Orientation.ANY
     if not record.at_push.size:
         start = without_momentum(scenario.start)
-        return Motion(start, scenario.goal, disturbance=disturbance)
+        return Motion(start, scenario.goal, disturbance=disturbance, orientation=along)
     pose, speeds, momentum = np.split(record.at_push, (6, 8))
     state = np.concatenate((pose, momentum / robot.rotor_axial_inertia))
-    return Motion(state, scenario.goal, speeds, disturbance)
+    return Motion(state, scenario.goal, speeds, disturbance, along)

@@ -18,13 +18,15 @@ Value = bool | int | float | str | None
 RESULT_COLUMNS = (
     "strategy", "settled", "settle_time_s", "final_error", "final_position_error_m",
     "final_orientation_error_rad", "max_rotor_speed", "max_rotor_acceleration",
-    "max_rotor_torque_nm", "solve_ms_p50", "solve_ms_p99", "solve_ms_max", "lower_bound_s",
-    "bound_s", "ratio", "failures", "loose_settle_time_s", "tail_error_p95", "stability_steps",
-    "stability_violations", "crash",
+    "max_rotor_torque_nm", "heat", "energy_j", "solve_ms_p50", "solve_ms_p99", "solve_ms_max",
+    "lower_bound_s", "bound_s", "ratio", "failures", "loose_settle_time_s", "tail_error_p95",
+    "stability_steps", "stability_violations", "crash",
 )
 """Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
 PUSH_RESULT_COLUMNS = ("recover_s",)
 """Further columns of runs.csv of a study with pushes."""
+PATH_RESULT_COLUMNS = ("path_rms_m", "path_max_m", "path_time_s")
+"""Further columns of runs.csv of a study with paths; see `evaluation.metrics.measure_along`."""
 FLOOR_RESULT_COLUMNS = ("contacts", "least_clearance_m", "reason")
 """Further columns of runs.csv of a study on a floor; ``reason`` is why a goal was given up."""
 

@@ -15,18 +15,31 @@ from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
+from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
-from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, measure, state_errors, stay_below
+from sphere_sim.evaluation.metrics import (
+    LOOSELY_SETTLED,
+    errors_to,
+    measure,
+    measure_along,
+    stay_below,
+)
 from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.record import ODOMETRY_RESULT_COLUMNS, RunRecord, Value, finite
+from sphere_sim.study.record import (
+    ODOMETRY_RESULT_COLUMNS,
+    PATH_RESULT_COLUMNS,
+    RunRecord,
+    Value,
+    finite,
+)
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 from sphere_sim.world.walls import Contact, Walls, walls_of
@@ -60,6 +73,9 @@ def assemble(
     conditions: StudyConditions, scenario: Scenario, robot: RobotParameters
 ) -> tuple[Simulator, Controller]:
     """Return simulator and controller of a run; the controller has the nominal parameters."""
+    settings = conditions.controller
+    if scenario.path_speed is not None:
+        settings = replace(settings, path_speed=scenario.path_speed)
     simulation = replace(
         conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
     )
@@ -68,10 +84,15 @@ def assemble(
     own = conditions.of_plant.for_robot(conditions.robot)
     floor, walls = floor_of(conditions.floor, conditions.robot.shell_radius)
     plant = make_plant(simulation.plant, robot, scenario.start, own, disturbances, walls)
-    controller = Controller(conditions.controller, conditions.robot)
+    controller = Controller(settings, conditions.robot)
     controller.floor = floor
     imu = conditions.imu if simulation.has_odometry else None
     return Simulator(simulation, robot, plant, imu), controller
+
+
+def course_of(conditions: StudyConditions, scenario: Scenario) -> Course:
+    """Return the course of a run; `InvalidStateError` is raised for too long a path."""
+    return scenario.course(conditions.controller.path_tolerance, conditions.robot.shell_radius)
 
 
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
@@ -82,17 +103,19 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     """
     strategy = conditions.controller.strategy
     try:
+        course = course_of(conditions, scenario)
         simulator, controller = prepare(conditions, scenario)
         poses = None if simulator.imu is None else OdometryPoses(
             simulator, simulator.imu, conditions.odometry, conditions.robot
         )
         trajectory = run_closed_loop(
-            simulator, controller, scenario.goal, conditions.duration,
+            simulator, controller, course, conditions.duration,
             conditions.controller.control_period, latency=conditions.latency, push=scenario.push,
             poses=poses,
         )
         inputs = followed_inputs(trajectory.holds, conditions.duration)
-        results = _results(trajectory, scenario.goal, inputs)
+        results = _results(trajectory, course.goals[-1], inputs)
+        results |= _along(trajectory, course, conditions.robot.shell_radius)
         settling = results["settle_time_s"]
         if scenario.push is not None and trajectory.at_push.size and settling is not None:
             results["recover_s"] = max(0.0, float(settling) - scenario.push.time)
@@ -104,20 +127,22 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     except Exception as error:
         crash = f"{type(error).__name__}: {error}"
         return RunRecord({"strategy": strategy, "settled": False, "crash": crash})
-    results |= _stability_of(trajectory.decisions, scenario.goal, conditions)
+    if scenario.follows is None:
+        results |= _stability_of(trajectory.decisions, scenario.goal, conditions)
     results = {"strategy": strategy, **results, "failures": controller.failures}
     return RunRecord(results, inputs.times, inputs.speeds, trajectory.at_push)
 
 
-def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> dict[str, Value]:
+def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict[str, Value]:
     planned = [d.plan.made.solve_time for d in trajectory.decisions if d.solved and d.is_new]
     solve_times = np.array(planned)
     speeds = np.vstack((trajectory.speeds, inputs.speeds))
     measured = measure(
-        trajectory.times, trajectory.states, Goal(goal), speeds, trajectory.torques, solve_times
+        trajectory.times, trajectory.states, goal, trajectory.times, trajectory.speeds,
+        trajectory.torques, solve_times,
     )
     results = {name: finite(value) for name, value in asdict(measured).items()}
-    errors = state_errors(trajectory.states, goal)
+    errors = errors_to(goal, trajectory.states)[:, 0]
     stay = stay_below(trajectory.times, errors, LOOSELY_SETTLED)
     if stay is not None:
         results["loose_settle_time_s"] = stay.since
@@ -132,6 +157,19 @@ def _results(trajectory: Trajectory, goal: Vector, inputs: FirstOrderHold) -> di
     if planned:
         results["solve_ms_max"] = 1e3 * max(planned)
     return results
+
+
+def _along(trajectory: Trajectory, course: Course, radius: float) -> dict[str, Value]:
+    """Return the results of a run along a path; none without one."""
+    paths = [leg.follows for leg in course.legs if leg.follows is not None]
+    if not paths:
+        return {}
+    # Half a radius is far more than it rolls from one sample to the next.
+    found = measure_along(trajectory.times, trajectory.states[:, POSITION], paths, 0.5 * radius)
+    results = dict(zip(PATH_RESULT_COLUMNS, map(finite, found), strict=True))
+    # At the start of a closed path the sphere is at its end, too.
+    is_there = results["path_time_s"] is not None
+    return results if is_there else {**results, "settled": False, "settle_time_s": None}
 
 
 def _contacts(contact: Contact, trajectory: Trajectory) -> dict[str, Value]:

@@ -5,8 +5,10 @@
 import contextlib
 import json
 import logging
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -127,9 +129,11 @@ class Study:
         self, search: BestKnown, motions: Mapping[str, Sequence[Motion]]
     ) -> dict[str, Sequence[float]]:
         """Return the settling time of the best known motion of each run [s], by strategy."""
-        times = list(search([motion for found in motions.values() for motion in found]))
-        runs = len(self.scenarios)
-        return {name: times[i * runs : (i + 1) * runs] for i, name in enumerate(motions)}
+        # The fastest motion to the end of a path does not follow it.
+        judged = [scenario.follows is None for scenario in self.scenarios]
+        all_motions = [motion for found in motions.values() for motion in compress(found, judged)]
+        times = iter(search(all_motions))
+        return {name: [next(times) if one else math.nan for one in judged] for name in motions}
 
     def _refuse_other_results(self, folders: Iterable[Path]) -> None:
         has_journals = any((folder / JOURNAL).exists() for folder in folders)

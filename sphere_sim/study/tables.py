@@ -4,6 +4,7 @@
 
 import csv
 import io
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,18 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import counted
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import write_atomically
-from sphere_sim.scenario.csv_file import SEED_COLUMN, STATE_COLUMNS
-from sphere_sim.scenario.scenarios import DISTURBANCE_COLUMNS, PUSH_COLUMNS, Scenario
+from sphere_sim.scenario.csv_file import PATH_COLUMN, SEED_COLUMN, STATE_COLUMNS
+from sphere_sim.scenario.scenarios import (
+    DISTURBANCE_COLUMNS,
+    PATH_SPEED_COLUMN,
+    PUSH_COLUMNS,
+    Scenario,
+)
 from sphere_sim.study.journal import NotWrittenError
 from sphere_sim.study.record import (
     FLOOR_RESULT_COLUMNS,
     ODOMETRY_RESULT_COLUMNS,
+    PATH_RESULT_COLUMNS,
     PUSH_RESULT_COLUMNS,
     RESULT_COLUMNS,
     RunRecord,
@@ -72,6 +79,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
     not settle, ``timing`` holds all that depends on the machine.
     """
     pushed = any(scenario.push is not None for scenario in scenarios)
+    along = any(scenario.follows is not None for scenario in scenarios)
     return {
         "strategy": results[0]["strategy"],
         "runs": len(results),
@@ -80,6 +88,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
         **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
         "beyond_lower_bound_s": _distribution(_beyond_lower_bound(results)),
         **{n: _distribution(column(results, n)) for n in PUSH_RESULT_COLUMNS if pushed},
+        **{n: _distribution(column(results, n)) for n in PATH_RESULT_COLUMNS if along},
         **{n: _distribution(column(results, n)) for n in _of_odometry(results)},
         **{name: _largest(column(results, name)) for name in _PEAKS},
         "failed_solves": int(np.sum(column(results, "failures"))),
@@ -151,6 +160,10 @@ def headline(summary: dict[str, Any]) -> str:
         )
     if ratio["count"]:
         parts.append(f"{ratio['median']:.2f} x best known (p99 {ratio['p99']:.2f})")
+    if summary.get("path_max_m", {}).get("count"):
+        rms, largest = (1e3 * summary[name]["median"] for name in PATH_RESULT_COLUMNS[:2])
+        worst = 1e3 * summary["path_max_m"]["max"]
+        parts.append(f"path rms {rms:.1f} mm, largest {largest:.1f} mm (worst {worst:.1f})")
     if summary["final_error"]["count"]:
         parts.append(f"final error {summary['final_error']['median']:.1e}")
     if "contacts" in summary:
@@ -198,13 +211,17 @@ def write_runs(
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
     pushed = any(scenario.push is not None for scenario in scenarios)
     results = list(results)
+    along = any(scenario.follows is not None for scenario in scenarios)
     walled = any(map(_has_walls, results))
     result_names = RESULT_COLUMNS + (PUSH_RESULT_COLUMNS if pushed else ())
+    result_names += PATH_RESULT_COLUMNS if along else ()
     result_names += FLOOR_RESULT_COLUMNS if walled else ()
     result_names += max(map(_of_odometry, results), default=())
-    extras = [n for n in names if n not in (*result_names, *PUSH_RESULT_COLUMNS)]
+    replaced = {*result_names, *PUSH_RESULT_COLUMNS, *PATH_RESULT_COLUMNS}
+    extras = [name for name in names if name not in replaced]
     present = {name for scenario in scenarios for name in scenario.optional}
-    optional = [name for name in PUSH_COLUMNS + DISTURBANCE_COLUMNS if name in present]
+    numbers = (*PUSH_COLUMNS, *DISTURBANCE_COLUMNS, PATH_SPEED_COLUMN)
+    optional = [PATH_COLUMN] * along + [name for name in numbers if name in present]
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*STATE_COLUMNS, SEED_COLUMN, *optional, *extras, *result_names])
@@ -216,7 +233,11 @@ def write_runs(
                 for name, value in zip(STATE_COLUMNS, values, strict=True)
             ]
             cells.append(scenario.seed)
-            cells += [scenario.optional.get(name) for name in optional]
+            given: dict[str, Value] = {**scenario.optional}
+            if scenario.follows is not None:
+                # From where the table is, as it is a scenario file itself.
+                given[PATH_COLUMN] = os.path.relpath(scenario.follows.file, path.parent)
+            cells += [given.get(name) for name in optional]
             cells += [scenario.extra.get(name, "") for name in extras]
             cells += [found.get(name) for name in result_names]
             # Python writes the shortest text that reads back as the same number.

@@ -36,7 +36,7 @@ _LEGEND = """
 - **red-orange circle**: Γ, the circle through the rotors
 - **black line** on the shell: past contact points
 - **blue line**: path; **light blue**: predicted plan with its knots
-- **pink sphere**: the goal
+- **pink sphere**: the goal; **pink line**: the path to follow
 {estimate}- **floor**: a line every {cell:g} m{walls}
 """
 _NUMBERS = "padding:0 12px 10px;font-size:14px;line-height:1.55;overflow-wrap:anywhere"
@@ -115,6 +115,10 @@ class ControlPanel:
                 "point by click", False, hint="A click on the floor sends that position as a "
                 "goal, with any orientation; dragging still turns the view"
             )
+            self._drawable = gui.add_checkbox(
+                "draw a path", False, hint="A path drawn on the floor with the mouse is sent when "
+                "it is released; dragging does not turn the view meanwhile"
+            )
             self._way = gui.add_button_group(
                 "on the way", tuple(_ON_THE_WAY), visible=False,
                 hint="Stop keeps the goal; Cancel stops, without a goal from then on",
@@ -160,6 +164,11 @@ class ControlPanel:
     def sends_points(self) -> bool:
         """Whether a click on the floor sends a point."""
         return bool(self._clickable.value)
+
+    @property
+    def draws_paths(self) -> bool:
+        """Whether a drag on the floor draws a path."""
+        return bool(self._drawable.value)
 
     @property
     def sends_at_once(self) -> bool:
@@ -299,6 +308,8 @@ def _number_lines(frame: Frame) -> str:
         left = f"left: <b>{progress.time_left:.1f} s</b>"
         if math.isfinite(progress.distance_left):
             left += f", <b>{progress.distance_left:.2f} m</b> of path"
+    if math.isfinite(progress.deviation):
+        left += f", <b>{1e3 * progress.deviation:.0f} mm</b> off it"
     if progress.count > 1:
         left += f"; goal <b>{progress.index + 1} of {progress.count}</b>"
     mode = html.escape(frame.mode or "no plan yet")

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What lies on the ground of the scene: floor, world axes, path and plan; and growing lines."""
+"""What lies on the ground of the scene: floor, world axes, paths and plan; and growing lines."""
 
 from collections import deque
 
@@ -38,7 +38,8 @@ class Ground:
         self.size = size
         self.cell = grid_cell(size)
         """Spacing of the grid [m]."""
-        self._floor = _add_floor(scene, self.cell)
+        self._floor, self.plane = _add_floor(scene, self.cell)
+        """Frame of the floor, and its surface."""
         scene.add_frame(
             "/world", axes_length=0.25 / 0.3 * size, axes_radius=0.008 / 0.3 * size,
             origin_radius=0.04 * size, position=(0.0, 0.0, _ON_FLOOR * size),
@@ -53,6 +54,11 @@ class Ground:
             point_shape="circle", precision="float32", visible=False,
         )
         self._drawn_plan: Vector | None = None
+        self._followed = scene.add_line_segments(
+            "/followed", np.zeros((1, 2, 3)), linear(colours.GOAL), thickness=size / 15.0,
+            visible=False,
+        )
+        self._drawn_path: Vector | None = None
 
     def covers(self, position: Vector) -> bool:
         """Return whether a position, shape (2,) [m], is on the floor that is drawn."""
@@ -66,9 +72,18 @@ class Ground:
         """Extend the path to a position, shape (2,) [m]."""
         self._path.add(np.array([*position, _ON_FLOOR * self.size]))
 
-    def show(self, position: Vector, plan: Vector) -> None:
-        """Show path and plan, states of shape (n, 6), and the floor around a position, (2,)."""
+    def show(self, position: Vector, plan: Vector, followed: Vector) -> None:
+        """Show path, plan, path to follow, and the floor around a position, shape (2,).
+
+        The plan is of states, (n, 6), the path to follow of places, (n, 2).
+        """
         self._path.draw()
+        if followed is not self._drawn_path:
+            self._drawn_path = followed
+            self._followed.visible = len(followed) >= 2
+            if self._followed.visible:
+                height = np.full((len(followed), 1), 1.2 * _ON_FLOOR * self.size)
+                self._followed.points = segments(np.hstack((followed, height)))
         if np.max(np.abs(position - self._floor.position[:2])) > _FLOOR_MARGIN * self.cell:
             coarse = 2.0 * self.cell
             self._floor.position = np.append(coarse * np.round(position / coarse), 0.0)
@@ -147,12 +162,17 @@ class Trail:
         self._points, self._changed, self._begun = [], False, False
 
 
-def _add_floor(scene: viser.SceneApi, cell: float) -> viser.FrameHandle:
-    """Add the floor, a line every `cell` [m] and every other one stronger; return its frame."""
+def _add_floor(
+    scene: viser.SceneApi, cell: float
+) -> tuple[viser.FrameHandle, viser.MeshHandle]:
+    """Add the floor, a line every `cell` [m] and every other one stronger.
+
+    Return its frame, and its plane.
+    """
     frame = scene.add_frame("/floor", show_axes=False)
     half = _CELLS * cell
     plane = _plane(half)
-    scene.add_mesh_simple(
+    surface = scene.add_mesh_simple(
         "/floor/plane", plane.vertices, plane.faces, color=_PLAIN, cast_shadow=False,
         position=(0.0, 0.0, -0.004 * cell), receive_shadow=False,
     )
@@ -164,7 +184,7 @@ def _add_floor(scene: viser.SceneApi, cell: float) -> viser.FrameHandle:
             f"/floor/{name}", _lines(chosen, half), linear(colour), thickness=width,
             thickness_units="screen",
         )
-    return frame
+    return frame, surface
 
 
 def _plane(half: float) -> Mesh:

@@ -56,6 +56,7 @@ class Scene:
         self.radius = DEFAULT_RADIUS
         """Radius of the sphere [m]; the default one before the first frame with a state."""
         self._ground = Ground(self._scene, self.radius)
+        self._on_drag: Callable[[Vector | None, str], object] | None = None
         self._walls = Walls(self._scene)
         self._look_from_the_start()
 
@@ -88,7 +89,7 @@ class Scene:
         """Show a frame, after `extend_lines` with it."""
         self._walls.show(frame.floor, self.radius)
         if frame.state is not None and self._ball is not None and self._trace is not None:
-            self._ground.show(frame.state[POSITION], frame.plan)
+            self._ground.show(frame.state[POSITION], frame.plan, frame.path)
             self._ball.place(frame.state, frame.rotor_speeds, frame.time)
             self._trace.draw()
             if self._estimate is None and frame.estimate is not None:
@@ -116,6 +117,25 @@ class Scene:
                 on_click(place)
 
         self._scene.on_click()(report)
+
+    def report_drags(self, on_drag: Callable[[Vector | None, str], object] | None) -> None:
+        """Call a function with the phases of each drag on the floor: start, update, end.
+
+        And with the place, shape (2,) [m], None beside the floor. Otherwise as `report_clicks`,
+        but a drag on the floor does not turn the view meanwhile.
+        """
+        self._on_drag = on_drag
+        self._ground.plane.remove_drag_callback()
+        if on_drag is None:
+            return
+
+        async def report(event: viser.SceneNodeDragEvent[Any]) -> None:
+            camera = np.array(event.client.camera.position)
+            place = on_floor(camera, np.array(event.end_position) - camera)
+            is_there = place is not None and self._ground.covers(place)
+            on_drag(place if is_there else None, event.phase)
+
+        self._ground.plane.on_drag(report)
 
     def look_at(self, places: Vector) -> None:
         """Set the initial view of pages opened from now on to these places, shape (n, 2) [m].
@@ -154,6 +174,7 @@ class Scene:
         if size != self._ground.size:
             self._ground.clear_path()
             self._ground = Ground(self._scene, size)
+            self.report_drags(self._on_drag)
 
     def _look(self, at: Vector, distance: float, camera: Any) -> None:
         """Point a camera at a place, shape (2,) [m], from a distance [m]."""

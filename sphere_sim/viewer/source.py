@@ -70,6 +70,8 @@ class Frame:
         Rotor speeds [rad/s] and torques [N m].
     plan : ndarray, shape (n, 6)
         Predicted states.
+    path : ndarray, shape (n, 2)
+        Places of the path that is followed [m].
     floor : Grid or None
         Floor with what is occupied there; None where it is free.
     clearance : float
@@ -99,6 +101,7 @@ class Frame:
     estimate: Vector | None = None
     estimate_error: Vector = field(default_factory=_unknown)
     plan: Vector = field(default_factory=lambda: np.empty((0, POSE_SIZE)))
+    path: Vector = field(default_factory=lambda: np.empty((0, 2)))
     floor: Grid | None = None
     clearance: float = float("nan")
     solve_time: float = float("nan")
@@ -160,6 +163,13 @@ class SetPoint:
 
 
 @dataclass(frozen=True)
+class SetPath:
+    """Request for a path through places (x, y) [m; world frame]."""
+
+    places: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
 class Enable:
     """Request to go on to the goal, or to stop on the way and keep it."""
 
@@ -212,7 +222,7 @@ class Seek:
 
 
 Request = (
-    SetGoal | SetPoint | Enable | Cancel
+    SetGoal | SetPoint | SetPath | Enable | Cancel
     | Pause | Reset | ApplyPush | SetSpeed | SetStrategy | Seek
 )
 """Request to a source."""

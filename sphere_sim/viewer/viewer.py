@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Viewer: shows the frames of a source and passes the requests of its page on."""
 
+import math
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from sphere_sim.viewer.source import (
     PageRequest,
     Request,
     SetGoal,
+    SetPath,
     SetPoint,
     Source,
 )
@@ -33,7 +36,8 @@ _PANEL_PERIOD = 0.2
 class Viewer:
     """Page that shows the frames of a source, without any part in the control loop.
 
-    Everything happens in `tick`, except the server's callbacks, which only queue requests.
+    Everything happens in `tick`, except the server's callbacks, which only queue requests, and
+    collect the places of a path that is drawn.
 
     The source is `live`, or else a recording; the port is one of this machine.
     """
@@ -49,7 +53,9 @@ class Viewer:
         self._goal: GoalGizmo | None = None
         self._frame = Frame()
         self._panel_updated = 0.0
-        self._takes_clicks = False
+        self._takes_clicks = self._takes_drags = False
+        self._drawn: list[tuple[float, float]] = []
+        """Places of the path that is being drawn [m]."""
 
     @property
     def url(self) -> str:
@@ -68,6 +74,9 @@ class Viewer:
         if self._panel.sends_points != self._takes_clicks:
             self._takes_clicks = not self._takes_clicks
             self._scene.report_clicks(self._send_point if self._takes_clicks else None)
+        if self._panel.draws_paths != self._takes_drags:
+            self._takes_drags = not self._takes_drags
+            self._scene.report_drags(self._draw if self._takes_drags else None)
         frames = self._source.frames()
         for frame in frames:
             self._scene.extend_lines(frame)
@@ -76,7 +85,8 @@ class Viewer:
                 self._notify(notice)
         self._frame = frames[-1]
         with self._server.atomic():
-            self._scene.show(self._frame)
+            path = np.array(self._drawn) if self._drawn else self._frame.path
+            self._scene.show(replace(self._frame, path=path))
             self._show_goal()
         now = time.monotonic()
         if now > self._panel_updated + _PANEL_PERIOD:
@@ -141,6 +151,18 @@ class Viewer:
 
     def _send_point(self, place: Vector) -> None:
         self._panel.put(SetPoint((float(place[0]), float(place[1]))))
+
+    def _draw(self, place: Vector | None, phase: str) -> None:
+        """Extend the path that is drawn; at its end request it."""
+        if phase == "start":
+            self._drawn = []
+        # Steps of a hand that hesitates lead back and forth.
+        least = 0.1 * self._scene.cell
+        if place is not None and not (self._drawn and math.dist(place, self._drawn[-1]) < least):
+            self._drawn.append((float(place[0]), float(place[1])))
+        if phase == "end" and self._drawn:
+            self._panel.put(SetPath(tuple(self._drawn)))
+            self._drawn = []
 
     def _state(self) -> Vector:
         """Return the state of the sphere; the origin where it is unknown."""

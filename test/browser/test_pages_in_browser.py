@@ -22,7 +22,7 @@ from sphere_nmpc.model.state import make_state
 from sphere_sim.cli.report import main
 from sphere_sim.report import report_files
 from sphere_sim.viewer.scene import LOOK_AT
-from sphere_sim.viewer.source import Cancel, Capabilities, Enable, Frame, SetPoint
+from sphere_sim.viewer.source import Cancel, Capabilities, Enable, Frame, SetPath, SetPoint
 from sphere_sim.viewer.viewer import Viewer
 
 pytestmark = pytest.mark.slow
@@ -50,6 +50,12 @@ def shown(script, page) -> Iterator[Browser]:
     viewer.close()
 
 
+def wait_for_pointer(page: Browser, shown: bool) -> None:
+    """Wait until the page shows by its mouse pointer whether the mouse has an effect."""
+    pointer = "[...document.querySelectorAll('canvas')].some(e => e.style.cursor === 'pointer')"
+    page.wait(lambda: page.evaluate(pointer) is shown, "the mouse pointer")
+
+
 def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(shown, script) -> None:
     page = shown
     script.next = [Frame(state=STATE, goal=Goal(STATE), capabilities=Capabilities(stop=True))]
@@ -59,13 +65,6 @@ def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(shown, scri
         (request,) = script.requests
         script.requests.clear()
         return request
-
-    def wait_for_pointer(shown: bool) -> None:
-        """Wait until the page shows by its mouse pointer whether clicks have an effect."""
-        pointer = (
-            "[...document.querySelectorAll('canvas')].some(e => e.style.cursor === 'pointer')"
-        )
-        page.wait(lambda: page.evaluate(pointer) is shown, "the mouse pointer")
 
     page.wait_for("Cancel")
     scene_of(page)
@@ -77,7 +76,7 @@ def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(shown, scri
     place = pixel(page, (0.8, -0.9, 0.0))
     page.click(place)  # not enabled yet: nothing comes of it
     page.check("point by click")
-    wait_for_pointer(True)
+    wait_for_pointer(page, True)
     assert script.requests == []
     page.click(place)
     sent = next_request()
@@ -85,11 +84,34 @@ def test_click_on_the_floor_sends_a_point_and_buttons_act_on_the_way(shown, scri
     assert sent.position == pytest.approx((0.8, -0.9), abs=0.05)
     page.drag(place, (place[0] + 60.0, place[1]))  # turns the view
     page.check("point by click")
-    wait_for_pointer(False)
+    wait_for_pointer(page, False)
     page.click(place)
     page.click_button("Stop")
     assert next_request() == Enable(False)
     assert page.console == []
+
+
+def test_path_is_drawn_with_the_mouse_on_the_floor(shown, script) -> None:
+    page, begin, end = shown, np.array([0.8, -0.9]), np.array([1.4, -1.5])
+    script.next = [Frame(state=STATE, goal=Goal(STATE))]
+    page.wait_for("draw a path")
+    page.check("draw a path")
+    page.settle()
+    pixels = [pixel(page, (*place, 0.0)) for place in (begin, end)]
+
+    page._mouse("mouseMoved", *pixels[0])
+    wait_for_pointer(page, True)
+    page.drag(*pixels, steps=12)
+    page.wait(lambda: script.requests)
+    (sent,) = script.requests
+    assert isinstance(sent, SetPath)
+    places = np.array(sent.places)
+    np.testing.assert_allclose(places[[0, -1]], [begin, end], atol=0.1)
+    ahead = (end - begin) / np.linalg.norm(end - begin)
+    assert np.all(np.diff(places @ ahead) > 0.0)
+    assert np.abs((places - begin) @ (-ahead[1], ahead[0])).max() < 0.05
+    # viser calls that from its own handler of the first event.
+    assert [it for it in page.console if "preventDefault" not in it] == []
 
 
 PHONE = 390, 844

@@ -17,16 +17,17 @@ from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, upright_state
+from sphere_nmpc.model.state import POSITION, QUATERNION, make_state, upright_state
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.cli.main import main as command
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.output.files import ResultFolderError
-from sphere_sim.scenario.scenarios import Push, Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import GivenPath, Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import (
     FLOOR_RESULT_COLUMNS,
     ODOMETRY_RESULT_COLUMNS,
+    PATH_RESULT_COLUMNS,
     RESULT_COLUMNS,
     RunRecord,
 )
@@ -69,6 +70,24 @@ def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
     # Linear within 10 ms but for the curvature, below 100 m/s^2 and 1000 1/s^2.
     between = pushed.states[i] + share * (pushed.states[i + 1] - pushed.states[i])
     np.testing.assert_allclose(pushed.at_push[:6], between, atol=0.02)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.0])
+def test_run_along_a_closed_path_is_settled_once_it_has_followed_it(speed) -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 100)
+    circle = 0.5 * np.column_stack((np.sin(angles), 1.0 - np.cos(angles)))
+    path = GivenPath(circle, Path("circle.csv"))
+    scenario = replace(
+        SCENARIO, start=make_state(circle[0], SCENARIO.start[QUATERNION]), goal=path.end,
+        follows=path, path_speed=speed,
+    )
+    found = run_scenario(replace(SHORT, duration=14.0), scenario).results
+    rms, largest, time = (found[name] for name in PATH_RESULT_COLUMNS)
+    assert found["settled"] and rms < largest < 0.02
+    assert (10.0 if speed else 5.0) < time < (12.0 if speed else 8.0)
+    assert time <= found["settle_time_s"] + 0.02
+    early = run_scenario(SHORT, scenario).results
+    assert not early["settled"] and early["path_time_s"] is None and early["path_max_m"] < 0.02
 
 
 def test_recorded_inputs_reproduce_speeds_and_states() -> None:

@@ -227,7 +227,7 @@ def test_plan_with_whole_turns_leads_to_the_goal_when_all_of_it_is_integrated(di
     now = drawn(distance, seed=int(distance))
     found = ArrivalSearch(SOLVER, now, 0).improve(50_000)
     assert found is not None
-    _, turns = steady_interval(np.diff(found.hold.times), ROLLING)
+    _, turns = steady_interval(found.hold, ROLLING, ROBOT.max_rotor_speed)
     assert turns >= distance / ROLLING.turn_length - 4
     # Steady rolling is integrated exactly in steps of any length. The direction, which is
     # corrected on the way, is within the terminal error.

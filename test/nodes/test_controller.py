@@ -416,6 +416,68 @@ def test_point_and_list_are_goals_known_by_their_stamps(robot, capfd) -> None:
     assert status["active_goal_stamp"] == stamp_text(stamp_from_ros(robot.goals[-1].header.stamp))
 
 
+def path_of(*places: tuple[float, float], frame: str = "") -> Path:
+    """Return the path of poses with quaternions of zeros, as planners send them."""
+    path = Path(poses=[PoseStamped() for _ in places])
+    path.header.frame_id = frame
+    for pose, (x, y) in zip(path.poses, places, strict=True):
+        pose.pose.position.x, pose.pose.position.y = x, y
+        pose.pose.orientation.w = 0.0
+    return path
+
+
+def test_path_is_followed_and_shown_and_one_without_a_length_is_a_place(robot, capfd) -> None:
+    shown = robot.graph.collect(Path, "controller/path", LATCHED)
+    x, y = CASE.start[:2].tolist()
+    corner = path_of((x, y), (x + 1.0, y), (x + 1.0, y + 1.0))
+    corner.header.stamp.sec = 7
+    robot.send("path", corner)
+    robot.graph.until(lambda: shown and shown[-1].poses)
+    places = np.array([pose_from_ros(pose)[:2] for pose in shown[-1].poses])
+    np.testing.assert_allclose(places[[0, -1]], [[x, y], [x + 1.0, y + 1.0]], atol=1e-9)
+    away = np.minimum(abs(places[:, 1] - y), abs(places[:, 0] - x - 1.0))
+    assert 0.0 < away.max() < 0.02, "corners are cut within path_tolerance"
+    heading = shown[-1].poses[-1].pose.orientation
+    assert (heading.w, heading.z) == pytest.approx((0.5**0.5, 0.5**0.5), abs=1e-3)
+    assert shown[-1].header.stamp.sec == 7
+    robot.pass_time(0.3)
+    status = robot.status()
+    assert (status["goal_stamp"], status["goal_count"]) == ("7.000000000", "1")
+    assert status["goal_orientation"] == "any"
+    told = f"m along a path to [{x + 1.0}, {y + 1.0}], position only\n"
+    assert told in capfd.readouterr().err
+
+    there_and_back = path_of((x, y), (x + 1.0, y), (x, y))
+    there_and_back.poses[-1].pose.orientation.w = 1.0
+    for demanded, legs in (("full", "3"), ("any", "2")):
+        given = Parameter("path_end_orientation", value=demanded)
+        assert robot.node.set_parameters([given])[0].successful
+        robot.send("path", there_and_back)
+        robot.graph.until(lambda legs=legs: robot.status()["goal_count"] == legs)
+    robot.send("path", path_of((1.0, 2.0), (1.0, 2.0)))
+    robot.graph.until(lambda: not shown[-1].poses)
+    assert str(robot.node.controller.active.goal) == "[1.0, 2.0], position only"
+
+
+@pytest.mark.parametrize(("path", "told"), [
+    (path_of(), "path: given 0 poses, expected 1 to 10000; ~/cancel stops"),
+    (path_of((0.0, 0.0), (1.0, math.nan)), "pose 1 of the path: given [1.0, nan], expected fin"),
+    (path_of((0.0, 0.0), (1.0, 0.0), frame="odom"), "frame: given 'odom', expected 'world'"),
+])
+def test_path_that_cannot_be_followed_is_refused(robot, capfd, path, told) -> None:
+    robot.send("path", path)
+    printed = ""
+
+    def is_told() -> bool:
+        nonlocal printed
+        printed += capfd.readouterr().err
+        return f"path refused: {told}" in printed
+
+    robot.graph.until(is_told)
+    assert robot.node.controller.active is None
+    assert printed.count("the goal in force stays") == 1
+
+
 def test_status_and_diagnostics_are_published_while_time_stands_still(begun) -> None:
     robot = begun
     reports = robot.graph.collect(DiagnosticArray, "/diagnostics")

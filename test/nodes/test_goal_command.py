@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The goal command with real nodes: what it prints and its exit code."""
 
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -88,7 +89,9 @@ def enable(data: bool) -> None:
         assert graph.call(SetBool, "controller/enable", SetBool.Request(data=data)).success
 
 
-def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot, capfd) -> None:
+def test_command_waits_for_the_arrival_of_a_pose_a_point_several_goals_and_a_path(
+    robot, tmp_path, capfd
+) -> None:
     waiting = ("--wait", "--timeout", str(PATIENCE))
     assert main(["0.3", "0.2", *waiting]) == 0
     printed = capfd.readouterr()
@@ -103,6 +106,11 @@ def test_command_waits_for_the_arrival_of_a_pose_a_point_and_several_goals(robot
     assert printed.out.startswith("2 goals, the last one x 0 y 0 m")
     assert "goal 2 of 2: " in printed.err.splitlines()[-1]
     assert main(["0", "0", "--yaw", "90", "--degrees", *waiting]) == 0, "already there"
+    (tmp_path / "path.csv").write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
+    assert main(["--path", str(tmp_path / "path.csv"), *waiting]) == 0
+    printed = capfd.readouterr()
+    assert re.search(r"y 0.6 m: reached after .* mm, at most [\d.]+ mm off the path", printed.out)
+    assert re.search(r" s left, +[\d.]+ mm off the path, ", printed.err)
 
 
 def test_interrupted_command_leaves_the_sphere_on_its_way_and_another_one_takes_over(

@@ -295,8 +295,8 @@ def test_recording_has_every_documented_topic_except_requested_goals() -> None:
     recorded = set(record["cmd"][record["cmd"].index("--topics") + 1:])
     documented = {topic for _, topic, _, verb, _ in table() if verb not in ("service", "action")}
     # `ros2 topic pub --once` ends after the first matched subscription.
-    requested = {"/goal_pose", "/goal_point", "/goals", "/map", "/keepout", "/simulator/push",
-                 "/initialpose"}
+    requested = {"/goal_pose", "/goal_point", "/goals", "/path", "/map", "/keepout",
+                 "/simulator/push", "/initialpose"}
     assert "--use-sim-time" in record["cmd"]
     copied = {"/amcl_pose"}  # of the pose
     assert documented - requested - copied <= recorded and not (requested | copied) & recorded

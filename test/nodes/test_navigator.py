@@ -144,7 +144,9 @@ def test_example_runs_as_printed(session, commander) -> None:
     assert done.returncode == 0, done.stderr
     way, *ends = done.stdout.splitlines()
     assert re.fullmatch(r"the way to the pose was \d\.\d m long", way)
-    assert ends == ["pose: succeeded", "waypoints: succeeded", "far pose: canceled"]
+    assert ends == [
+        "pose: succeeded", "waypoints: succeeded", "path: succeeded", "far pose: canceled"
+    ]
 
 
 @pytest.mark.slow

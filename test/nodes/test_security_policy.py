@@ -12,6 +12,7 @@ import pytest
 import rclpy
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nav_msgs.msg import Goals
+from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 
 from sphere_nmpc.control.goal_client import NavigatorSettings
@@ -89,7 +90,8 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
     followers = [RecorderNode(), MarkerNode(), viewer.ViewerNode(0), NavigatorNode(),
                  OdometryNode()]
     goal = rclpy.create_node("goal")
-    GoalLink(goal, (PoseStamped, PointStamped, Goals), NavigatorSettings(), lambda ending: None)
+    kinds = PoseStamped, PointStamped, Goals, PathMessage
+    GoalLink(goal, kinds, NavigatorSettings(), lambda ending: None)
     graph._executor.add_node(goal)
     for node in followers:
         node.set_parameters([rclpy.Parameter("use_sim_time", value=True)])
@@ -115,7 +117,7 @@ def test_policy_allows_what_the_nodes_open_and_nothing_else(graph, tmp_path, mon
         for node in (*followers, goal):
             node.destroy_node()
     # `ros2 topic pub --once` ends after the first matched subscription.
-    goals = {"/goal_pose", "/goal_point", "/goals"}
+    goals = {"/goal_pose", "/goal_point", "/goals", "/path"}
     takers = {name for name, rows in allowed().items() if goals & rows["subscriber"]}
     assert takers == {"controller"}
 

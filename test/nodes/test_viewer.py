@@ -34,6 +34,7 @@ from sphere_sim.viewer.source import (
     Pause,
     Reset,
     SetGoal,
+    SetPath,
     SetPoint,
     SetSpeed,
     SetStrategy,
@@ -115,6 +116,13 @@ def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> N
     assert source.handle(SetPoint((-0.25, 0.5))) == ""
     graph.until(lambda: controller.controller.goal is not None)
     assert controller.controller.goal[:2].tolist() == [-0.25, 0.5]
+    drawn = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+    assert source.handle(SetPath(drawn)) == ""
+    graph.until(lambda: len(newest(source).path))
+    np.testing.assert_allclose(newest(source).path[[0, -1]], [drawn[0], drawn[-1]], atol=1e-9)
+    graph.until(lambda: np.isfinite(newest(source).progress.deviation))
+    source.handle(Cancel())
+    graph.until(lambda: len(newest(source).path) == 0)
 
 
 def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
@@ -123,6 +131,7 @@ def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     assert frame.alerts == ("no pose yet", "no controller yet")
     assert "goal_pose" in source.handle(SetGoal(GOAL))
     assert "goal_point" in source.handle(SetPoint((0.0, 0.0)))
+    assert "/path" in source.handle(SetPath(((0.0, 0.0),)))
     assert "pause" in source.handle(Pause(True))
     assert "cancel" in source.handle(Cancel()) and "enable" in source.handle(Enable(True))
     can = frame.capabilities

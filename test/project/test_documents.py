@@ -83,7 +83,7 @@ NOT_CHECKED = (
 )
 """Commands of ros2 whose arguments do not depend on the package, and of packages that are not
 there."""
-GOALS = ("goal_pose", "goal_point", "goals")
+GOALS = ("goal_pose", "goal_point", "goals", "path")
 """Topics on which a controller is given goals."""
 REFUSALS = (SphereNmpcError, AssertionError, TypeError, ValueError, RuntimeError)
 """Of this file and the fields of messages, of settings, and of the launch file."""

@@ -20,6 +20,7 @@ pytest.importorskip("mujoco")
 
 import ablation
 import lists
+import paths
 from documented_examples import EXAMPLES, forms, printed, run_example, section
 from parameter_tables import NODES, OF_ROBOT, PARTS, outputs, parameters_yaml
 
@@ -36,6 +37,7 @@ from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.cdr import Clock
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_sim.evaluation.metrics import measure_along
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -114,6 +116,36 @@ def test_run_of_a_list_visits_its_poses_and_settles_at_the_last_one() -> None:
     assert len(visited) == 2 and visited[0] < visited[1] <= settled < 19.0 and contacts == 0
     settled, visited, _ = lists.run("nominal", poses, Floor.EMPTY, 1, settled - 1.0)
     assert settled == np.inf and len(visited) == 1, "it ends on the way"
+
+
+@pytest.mark.parametrize("kind", ["circle", "eight", "line", "arc-0.50", "s+0.50"])
+def test_judge_of_paths_has_exact_curves_and_finds_what_is_beside_them(kind) -> None:
+    nodes = paths.nodes_of(kind, np.random.default_rng(1))
+    exact = paths.exact_path(nodes, 0.02)
+    x, y = exact.places.T
+    beyond = {
+        "circle": np.hypot(x, y - 0.5) - 0.5, "eight": y**2 - x**2 * (1.0 - x**2), "line": y,
+        "arc-0.50": np.hypot(x, y + 2.0) - 2.0,
+        "s+0.50": exact.places + exact.places[::-1] - 2.0 * exact.places[1500],
+    }[kind]
+    assert np.max(np.abs(beyond)) < 1e-5
+    length = {"circle": np.pi, "eight": 6.0972}.get(kind, 3.0)
+    assert exact.length == pytest.approx(length, abs=1e-4)
+    ahead = np.gradient(exact.places, axis=0)
+    normals = np.column_stack((-ahead[:, 1], ahead[:, 0])) / np.linalg.norm(ahead, axis=1)[:, None]
+    track = exact.places + 0.004 * np.sin(np.pi * np.linspace(0.0, 1.0, len(x)))[:, None] * normals
+    times = np.linspace(0.0, 9.0, len(x))
+    rms, largest, duration = measure_along(times, track, [exact], 0.1)
+    assert (rms, largest) == pytest.approx((0.004 / np.sqrt(2.0), 0.004), rel=0.01)
+    assert duration == pytest.approx(9.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_judge_of_paths_comes_where_the_plant_does() -> None:
+    options = {"seed": 1, "speed": 0.3, "tolerance": 0.02, "plant": "rolling", "perturb": 10.0,
+               "noise": 0.002}
+    found = paths.measured("line", 0, options)
+    assert found["apart"] < 1e-6 and found["end"] < 0.02 and len(found["track"]) > 100
 
 
 def values(settings: Any) -> dict[str, Any]:

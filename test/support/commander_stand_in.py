@@ -11,7 +11,7 @@ from typing import Any
 import rclpy
 from action_msgs.msg import GoalStatus
 from lifecycle_msgs.srv import GetState
-from nav2_msgs.action import FollowWaypoints, NavigateToPose
+from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateToPose
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
@@ -39,6 +39,7 @@ class BasicNavigator(Node):
         super().__init__("basic_navigator")
         self._pose_client = ActionClient(self, NavigateToPose, "navigate_to_pose")
         self._waypoint_client = ActionClient(self, FollowWaypoints, "follow_waypoints")
+        self._path_client = ActionClient(self, FollowPath, "follow_path")
         self._handle: Any = None
         self._feedback: Any = None
         self.result_future: Any = None
@@ -58,6 +59,11 @@ class BasicNavigator(Node):
 
     def followWaypoints(self, poses: Any) -> bool:
         return self._begin(self._waypoint_client, FollowWaypoints.Goal(poses=poses))
+
+    def followPath(self, path: Any, controller_id: str = "", goal_checker_id: str = "") -> bool:
+        return self._begin(self._path_client, FollowPath.Goal(
+            path=path, controller_id=controller_id, goal_checker_id=goal_checker_id
+        ))
 
     def cancelTask(self) -> None:
         self._done(self._handle.cancel_goal_async())

@@ -39,6 +39,12 @@ FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
          *_RESULT),
         ("uint32 current_waypoint",),
     ),
+    "FollowPath.action": (
+        ("nav_msgs/Path path", "string controller_id", "string goal_checker_id"),
+        ("uint16 NONE=0", "uint16 UNKNOWN=100", "uint16 INVALID_PATH=103",
+         "std_msgs/Empty result", *_RESULT),
+        ("float32 distance_to_goal", "float32 speed"),
+    ),
     "ComputePathToPose.action": (
         ("geometry_msgs/PoseStamped goal", "geometry_msgs/PoseStamped start", "string planner_id",
          "bool use_start"),

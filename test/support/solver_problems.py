@@ -79,6 +79,8 @@ MINIMUM_TIME: dict[str, dict[str, Any]] = {
         "at speed, disturbed": {**DISTURBED, **AT_SPEED},
         "free end": {"end": End.FREE},
         "free end, disturbed": {**DISTURBED, "end": End.FREE},
+        "effort": {"effort_weight": 0.2, "least_duration": 3.5},
+        "effort, disturbed": {**DISTURBED, "effort_weight": 0.2},
     }.items()
 }
 KINDS = LEAST_SQUARES | MINIMUM_TIME

@@ -37,6 +37,7 @@ def test_regular_file_is_read_whole_and_no_other_one(tmp_path) -> None:
             (tmp_path / "socket", 10**6, "given a socket, expected a regular"),
             (Path("/dev/zero"), 10**6, "given a device, expected a regular"),
             (tmp_path, 10**6, "given a folder, expected a regular"),
+            (tmp_path / "\0", 10**6, "given a name with a NUL, expected the name"),
         ):
             with pytest.raises(InvalidFileError, match=told):
                 read_file(path, longest)

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller node: rolls the sphere to a goal position and orientation.
 
-subscribes  pose, goal_pose, goal_point, goals, map, keepout, joint_states while commands are
-            late or lost
+subscribes  pose, goal_pose, goal_point, goals, path, map, keepout, joint_states while commands
+            are late or lost
 publishes   rotor_trajectory, rotor_commands, control_period, ~/active_goal, ~/at_goal, ~/eta,
-            ~/floor, ~/predicted_path, ~/status, /diagnostics
+            ~/floor, ~/path, ~/predicted_path, ~/status, /diagnostics
 services    ~/enable, ~/cancel
 """
 
@@ -115,7 +115,7 @@ class ControllerNode(ClockedNode):
         self._rotor_receiver = RotorReceiver(
             self, self.controller, self._control_clock
         ) if self._schedule.is_real_time else None
-        self._subscribe()
+        self._subscribe(robot.shell_radius)
         self._timer: Timer | None = None
         self._set_timer()
         self._wall_timers = [
@@ -149,7 +149,7 @@ class ControllerNode(ClockedNode):
             self._worker.close()
         super().destroy_node()
 
-    def _subscribe(self) -> None:
+    def _subscribe(self, radius: float) -> None:
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before
         # simulated time stops, so that a depth of one keeps it.
         newest = NEWEST if self._schedule.is_real_time else 1
@@ -162,7 +162,7 @@ class ControllerNode(ClockedNode):
             self.create_service(Trigger, "~/cancel", self._cancel),
         ]
         self._goal_receiver = GoalReceiver(
-            self, self._control_clock, self._frame, lambda: self._settings.goal_orientation,
+            self, self._control_clock, self._frame, radius, lambda: self._settings,
             self._set_goals, self._fault_log,
         )
 
@@ -202,8 +202,9 @@ class ControllerNode(ClockedNode):
             self._set_goals(goals)
 
     def _save_goal(self) -> None:
-        controller = self.controller
-        self._stored_goal.save(controller.active if controller.enabled else None)
+        active = self.controller.active if self.controller.enabled else None
+        # A path may have as many places as would take seconds to be written.
+        self._stored_goal.save(None if active is not None and active.course.paths else active)
 
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
@@ -312,9 +313,10 @@ class ControllerNode(ClockedNode):
         if not self._start(now):
             self._reports.present()
         self._save_goal()
-        number = len(goals.course.legs)
+        number, paths = len(goals.course.legs), goals.course.paths
         several = f"first of {number}: " if number > 1 else ""
-        self._event_log.report("goal", f"{several}{goals.goal}")
+        along = f"{paths[0].length:.2f} m along a path to " if paths else ""
+        self._event_log.report("goal", f"{several}{along}{goals.goal}")
 
     def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was_in_force = self.controller.cancel()

@@ -1,15 +1,16 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers of the controller's goal, arrival, predicted path, status and diagnostics."""
+"""Publishers of the controller's goal, path, arrival, prediction, status and diagnostics."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
@@ -21,6 +22,8 @@ from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path import Path
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import stamp_of
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force
@@ -33,6 +36,8 @@ _KEPT = 1000
 """Newest plans whose durations the percentiles are taken of."""
 _STATUS_EVERY = 0.0499
 """Shortest control time between two statuses of the same mode [s]: 20 Hz."""
+_EACH = 10
+"""Which places of a path are published, of 60 for each radius of its length."""
 _LONGEST_SILENCE = 0.4
 """Wall time after which a status is published also where there was no sampling instant [s]."""
 
@@ -82,7 +87,9 @@ class ControllerReports:
         self._at_goal_published: bool | None = None
         self._published_index = self._active_goal = 0
         self._eta = node.create_publisher(Float64, "~/eta", 10)
-        self._path = node.create_publisher(Path, "~/predicted_path", 10)
+        self._path = node.create_publisher(PathMessage, "~/path", LATCHED)
+        self._paths: tuple[Path, ...] | None = None
+        self._prediction = node.create_publisher(PathMessage, "~/predicted_path", 10)
         self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
@@ -91,6 +98,7 @@ class ControllerReports:
         self._plan_message = Kind.NO_POSE.value
         self._status_at = perf_counter()
         self._publish_arrival()
+        self._publish_path()
 
     def goal(self, stamp: int, is_new: bool = True) -> None:
         """Publish the goal that is aimed at from now on, `stamp` [ns]; the next status is due.
@@ -105,8 +113,22 @@ class ControllerReports:
             )
         self._last_status = (float("-inf"), self._last_status[1])
         if is_new:
+            self._publish_path()
             self._is_outdated, self._warnings = True, ()
         self._publish_arrival()
+
+    def _publish_path(self) -> None:
+        """Publish the path that is followed if it is another one than before, empty for none."""
+        active = self._controller.active
+        paths = () if active is None else active.course.paths
+        if paths == self._paths:
+            return
+        self._paths = paths
+        states = np.vstack([np.empty((0, 6)), *map(_shown, paths)])
+        self._path.publish(path_to_ros(
+            np.zeros(len(states)), states, self._robot.shell_radius,
+            0 if active is None else active.stamp, self._frame,
+        ))
 
     def _publish_progress(self, time: float, epoch: int) -> None:
         """Publish the next goal of a list if the one before has been reached."""
@@ -144,6 +166,7 @@ class ControllerReports:
         Call it after each check.
         """
         self._publish_arrival()
+        self._publish_path()
         if perf_counter() - self._status_at >= _LONGEST_SILENCE:
             self.present()
 
@@ -233,9 +256,9 @@ class ControllerReports:
         self._publish_status(mode, warnings, self._plan_message, self._values)
         self._eta.publish(Float64(data=float(self._values["time_left_s"])))
         # Making the path takes as long as a plan.
-        if len(plan.states) and self._path.get_subscription_count() > 0:
+        if len(plan.states) and self._prediction.get_subscription_count() > 0:
             times, radius = plan.hold.times, self._robot.shell_radius
-            self._path.publish(path_to_ros(times, plan.states, radius, epoch, self._frame))
+            self._prediction.publish(path_to_ros(times, plan.states, radius, epoch, self._frame))
 
     def _log_failures(self, mode: Kind) -> None:
         """Log what has failed since the last status, but for solves: a pose or a command."""
@@ -299,6 +322,13 @@ class ControllerReports:
             return max(mode.severity, found[0].kind.severity), found[0].name, values
         at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
         return mode.severity, f"{mode.value}{at}", values
+
+
+def _shown(path: Path) -> Vector:
+    """Return places of a path with its heading there, upright, shape (K, 6)."""
+    curve = np.vstack((path.curve[:-1:_EACH], path.curve[-1]))
+    half, none = 0.5 * curve[:, 2], np.zeros(len(curve))
+    return np.column_stack((curve[:, :2], np.cos(half), none, none, np.sin(half)))
 
 
 def _in_words(mode: Kind, about_plan: str) -> str:

@@ -21,12 +21,14 @@ from sphere_nmpc.model.disturbance import (
     time_to_saturation,
 )
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.path import Tracking
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.settings import ControllerSettings
 
-_CONTROLLABILITY_EVERY = 0.5
-"""Control time between two evaluations of the controllability [s]; each takes 0.2 ms."""
+_EVALUATED_EVERY = 0.5
+"""Control time between two evaluations of controllability and effort [s]; each takes 0.3 ms."""
+_NOT_FOLLOWED = Tracking(*[math.nan] * 5)
 _CONSTANTS = ("shell_radius_m", "c1", "r1", "r3")
 
 
@@ -42,6 +44,9 @@ class ControllerStatus:
         self._controller = controller
         self._robot = robot
         self._settings = settings
+        self._effort: Vector = np.zeros(2)
+        self._counted: object = None
+        """Origin of the course whose effort that is."""
         self._monitor = StabilityMonitor()
         self._stability: StabilityReport | None = None
         self._stability_at = self._evaluated_at = float("-inf")
@@ -76,19 +81,24 @@ class ControllerStatus:
             )
         )
 
-    def _update_controllability(self, decision: Decision, time: float) -> None:
-        since = time - self._evaluated_at
-        if decision.state is None or 0.0 <= since < _CONTROLLABILITY_EVERY:
+    def _evaluate(self, decision: Decision, time: float) -> None:
+        """Evaluate what takes longer: controllability, and the effort since the last time."""
+        last, controller = self._evaluated_at, self._controller
+        if decision.state is None or 0.0 <= time - last < _EVALUATED_EVERY:
             return
+        active, pose = controller.active, decision.state[POSE]
+        if active is not None and active.course.origin is not self._counted:
+            self._counted, self._effort = active.course.origin, np.zeros(2)
+        if -math.inf < last < time:
+            self._effort += controller.motor_effort(last, time, pose)
         self._evaluated_at = time
-        constants = self._controller.estimator.plant.constants
-        self._controllability = controllability(decision.state[POSE], constants)
+        self._controllability = controllability(pose, controller.estimator.plant.constants)
 
     def values(self, decision: Decision, time: float, duration: float, missed: int) -> dict[
         str, Any
     ]:
         """Return the values of the instant `time` [s], decided within `duration` [s]."""
-        self._update_controllability(decision, time)
+        self._evaluate(decision, time)
         plan, controller = decision.plan, self._controller
         return {
             "time_s": f"{time:.9g}",
@@ -109,6 +119,8 @@ class ControllerStatus:
             "iterations": plan.made.iterations,
             "cost": plan.made.cost,
             "kkt_residual": plan.made.kkt_residual,
+            "heat": float(self._effort[0]),
+            "energy_j": float(self._effort[1]),
             "failures": controller.failures,
             "missed_ticks": missed,
             "late_poses": controller.late_poses,
@@ -143,12 +155,18 @@ class ControllerStatus:
         if decision is not None and decision.solved:
             way = decision.plan.way_left(time)
         total_left, total_way = controller.remaining(left, way)
+        tracking = controller.tracking() or _NOT_FOLLOWED
         return {
             "goal_speed": controller.goal_speed(time),
             "time_left_s": left,
             "distance_left_m": way,
             "total_time_left_s": total_left,
             "total_distance_left_m": total_way,
+            "path_length_m": tracking.way + tracking.way_left,
+            "path_left_m": tracking.way_left,
+            "path_deviation_m": tracking.deviation,
+            "path_heading_error_rad": tracking.heading_error,
+            "path_speed_m_s": tracking.speed,
             "plans": controller.plans,
         }
 

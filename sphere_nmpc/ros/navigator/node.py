@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Navigator node: the actions of Nav2 for the goals of the controller, if nav2_msgs is installed.
 
-actions     navigate_to_pose, navigate_through_poses, follow_waypoints
+actions     navigate_to_pose, navigate_through_poses, follow_waypoints, follow_path
 services    bt_navigator/get_state, amcl/get_state
 subscribes  pose, controller/status, controller/floor
-publishes   goals, amcl_pose
+publishes   goals, path, amcl_pose
 requests    controller/cancel
 What else clients of Nav2 ask for is in `sphere_nmpc.ros.navigator.substitutes`.
 """
@@ -13,19 +13,21 @@ What else clients of Nav2 ask for is in `sphere_nmpc.ros.navigator.substitutes`.
 import time
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from action_msgs.msg import GoalStatusArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
-from nav_msgs.msg import Goals
+from nav_msgs.msg import Goals, Path
 from rclpy.action.server import ServerGoalHandle
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS, counted
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
@@ -38,6 +40,7 @@ from sphere_nmpc.ros.navigator.requests import (
     feedback_of,
     result_of,
     stages_of,
+    ways_of,
 )
 from sphere_nmpc.ros.navigator.substitutes import Substitutes
 from sphere_nmpc.ros.settings import FrameSettings
@@ -58,7 +61,7 @@ class _Accepted:
 
     server: GoalServer
     handle: ServerGoalHandle
-    stages: list[Goals]
+    stages: list[Goals] | list[Path]
     stamp: int
     """Time of acceptance [ns; clock of the node]."""
 
@@ -71,7 +74,13 @@ class _Accepted:
         """Return the index of the one that is sent after `number` others."""
         return (self.first + number) % len(self.stages)
 
-    def messages(self) -> Iterator[Goals]:
+    @cached_property
+    def ways(self) -> Vector | None:
+        """Lengths up to the poses of its path [m], shape (P,); None without one."""
+        first = self.stages[0]
+        return ways_of(first) if isinstance(first, Path) else None
+
+    def messages(self) -> Iterator[Goals | Path]:
         """Yield the stages in the order in which they are sent, in each of the loops."""
         loops = 1 + getattr(self.handle.request, "number_of_loops", 0)
         for number in range(loops * len(self.stages) - self.first):
@@ -93,7 +102,7 @@ class NavigatorNode(GuardedNode):
         """Goals that have not ended, by their ids."""
         self._pose: bytes | None = None
         self._ends = False
-        self._link = GoalLink(self, [Goals], settings, self._end)
+        self._link = GoalLink(self, [Goals, Path], settings, self._end)
         self._client = self._link.client
         self.create_subscription(PoseStamped, "pose", self._receive_pose, NEWEST, raw=True)
         self._servers = [
@@ -136,7 +145,9 @@ class NavigatorNode(GuardedNode):
         stages, key = stages_of(handle.request, self._frame), bytes(handle.goal_id.uuid)
         accepted = _Accepted(server, handle, stages, self.get_clock().now().nanoseconds)
         self._goals[key] = accepted
-        self._event_log.report("goal", counted(sum(len(one.goals) for one in stages), "pose"))
+        self._event_log.report("goal", counted(
+            sum(len(one.poses if isinstance(one, Path) else one.goals) for one in stages), "pose"
+        ))
         is_route = hasattr(handle.request, "number_of_loops")
         self._link.begin(key, accepted.messages(), self._waypoint_pause if is_route else 0.0)
 
@@ -165,7 +176,7 @@ class NavigatorNode(GuardedNode):
         accepted.handle.publish_feedback(feedback_of(
             accepted.server.action_type, report,
             (self.get_clock().now().nanoseconds - accepted.stamp) / NANOSECONDS,
-            accepted.stage(self._client.stage), pose,
+            accepted.stage(self._client.stage), pose, accepted.ways,
         ))
 
     def _navigators(self) -> list[str]:

@@ -5,14 +5,16 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Duration
-from nav_msgs.msg import Goals
+from nav_msgs.msg import Goals, Path
 
 from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
+from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.messages import framed_poses_from_ros
+from sphere_nmpc.ros.messages import framed_places_from_ros, framed_poses_from_ros
 
 _INSTALL = "apt install ros-jazzy-nav2-msgs"
 _LARGEST = 2**15 - 1
@@ -31,20 +33,26 @@ def action_types() -> dict[str, Any]:
     `MissingPackageError` says how to install the package where it is missing.
     """
     try:
-        from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
+        from nav2_msgs.action import (
+            FollowPath,
+            FollowWaypoints,
+            NavigateThroughPoses,
+            NavigateToPose,
+        )
     except ImportError as error:
         missing = "'nav2_msgs' is not installed" if error.name == "nav2_msgs" else str(error)
         raise MissingPackageError(f"{missing}; {_INSTALL}") from None
     return {
         "navigate_to_pose": NavigateToPose, "navigate_through_poses": NavigateThroughPoses,
-        "follow_waypoints": FollowWaypoints,
+        "follow_waypoints": FollowWaypoints, "follow_path": FollowPath,
     }
 
 
-def stages_of(request: Any, frame: str) -> list[Goals]:
+def stages_of(request: Any, frame: str) -> list[Goals] | list[Path]:
     """Return what is to be sent for a goal of an action, in `frame`, without a stamp.
 
-    That is one message with all poses, and for `FollowWaypoints` one for each of them.
+    That is one message with all poses, and for `FollowWaypoints` one for each of them; for
+    `FollowPath` its path.
 
     The poses of `NavigateThroughPoses` are a list or, in newer versions of Nav2, a message Goals,
     whose frame is that of poses without one. `InvalidStateError` or `InvalidInputError` is raised
@@ -52,6 +60,10 @@ def stages_of(request: Any, frame: str) -> list[Goals]:
     """
     if tree := getattr(request, "behavior_tree", ""):
         raise InvalidInputError("behavior_tree", tree, "none")
+    if hasattr(request, "path"):
+        framed_places_from_ros(request.path, frame)
+        request.path.header.frame_id = frame
+        return [request.path]
     common = ""
     if hasattr(request, "pose"):
         poses = [request.pose]
@@ -74,7 +86,16 @@ def stages_of(request: Any, frame: str) -> list[Goals]:
     return stages
 
 
-def result_of(kind: Any, ending: Ending, waypoints: Sequence[Goals], first: int = 0) -> Any:
+def ways_of(path: Path) -> Vector:
+    """Return the lengths of a path up to each of its poses [m], shape (P,)."""
+    places = framed_places_from_ros(path, path.header.frame_id)
+    sides = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    return np.concatenate(([0.0], np.cumsum(sides)))
+
+
+def result_of(
+    kind: Any, ending: Ending, waypoints: Sequence[Goals | Path], first: int = 0
+) -> Any:
     """Return the result of an action, with code and reason as far as this version has them.
 
     `waypoints` are the stages of the goal, which begins with the one of index `first`.
@@ -99,11 +120,13 @@ def _code(kind: Any, ending: Ending) -> int:
     if not ending.missed or hasattr(kind.Result(), "missed_waypoints"):
         return unknown
     code = ERROR_CODES.get(ending.missed[-1].cause, unknown)
+    if 200 <= code < 300 and hasattr(kind.Goal(), "path"):
+        return getattr(kind.Result, "INVALID_PATH", unknown)
     # ComputePathThroughPoses has codes of its own, in the same order.
     return code + 100 if 200 <= code < 300 and hasattr(kind.Goal(), "poses") else code
 
 
-def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Goals]) -> Any:
+def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Any]) -> Any:
     """Return the message about a waypoint that was missed, as this version of Nav2 has it."""
     code, pose = ERROR_CODES.get(missed.cause, 1), waypoints[index].goals[0]
     try:
@@ -119,14 +142,27 @@ def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Goals]) -> 
 
 
 def feedback_of(
-    kind: Any, report: GoalReport, since: float, waypoint: int, pose: Any
+    kind: Any, report: GoalReport, since: float, waypoint: int, pose: Any, ways: Vector | None
 ) -> Any:
     """Return the feedback of an action.
 
     `since` is the time since the goal was accepted [s], `waypoint` the index of the one of
-    `follow_waypoints`, `pose` the newest one of the sphere.
+    `follow_waypoints`, `pose` the newest one of the sphere, and `ways` are those of `ways_of` the
+    path of `follow_path`.
     """
     feedback = kind.Feedback()
+    if ways is not None:
+        # Of newer versions of Nav2 the feedback has one message with all.
+        told = getattr(feedback, "tracking_feedback", feedback)
+        told.distance_to_goal, told.speed = report.total_distance_left, report.speed
+        if told is not feedback:
+            told.header, told.robot_pose = pose.header, pose
+            told.position_tracking_error = report.deviation
+            told.heading_tracking_error = -report.heading_error  # positive to the right
+            told.remaining_path_length = report.total_distance_left
+            left = np.fmin(report.total_distance_left, ways[-1])  # all where it is not known
+            told.current_path_index = int(np.searchsorted(ways, ways[-1] - left, "right")) - 1
+        return feedback
     if hasattr(feedback, "current_waypoint"):
         feedback.current_waypoint = waypoint
         return feedback

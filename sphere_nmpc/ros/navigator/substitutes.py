@@ -27,7 +27,6 @@ ACTIONS = {
     "drive_on_heading": "DriveOnHeading",
     "follow_gps_waypoints": "FollowGPSWaypoints",
     "follow_object": "FollowObject",
-    "follow_path": "FollowPath",
     "smooth_path": "SmoothPath",
     "spin": "Spin",
     "undock_robot": "UndockRobot",

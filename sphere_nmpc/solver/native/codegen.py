@@ -18,6 +18,7 @@ import casadi as ca
 
 from sphere_nmpc.model.integrator import tangent_step_function
 from sphere_nmpc.solver.native.layout import problem_declaration
+from sphere_nmpc.solver.path_law import LAW_SIZES, path_law_function
 
 _PLACES = {
     "q": ("y", 0), "momentum": ("y", 4), "u_start": ("u_start", 0), "u_end": ("u_end", 0),
@@ -36,7 +37,11 @@ _BY_START_AND_KNOTS = ("q", "momentum", "u_start", "u_end", "h")
 _BY_PLANT = ("q", "momentum", "p", "torques")
 """What a step is differentiated by: for a solve without and with momentum, for an estimator."""
 
-_SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+_CALL = {
+    ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_FABS: "fabs",
+    ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax", ca.OP_ATAN2: "atan2", ca.OP_POW: "pow",
+}
+_SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/", ca.OP_LE: "<="}
 _TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}
 
 _INPUTS = (
@@ -71,7 +76,15 @@ def kernel_source() -> str:
         + _nominal("nominal_step_disturbed", tangent_step_function(0, _BY_START_AND_KNOTS))
         + _kernel("tangent_step_disturbed", "wide_tangent", _BY_START_AND_KNOTS)
         + _kernel("fitted_step", "fitted", _BY_PLANT)
+        + _law()
     )
+
+
+def _law() -> str:
+    """Return the C function of the law by which a path is followed."""
+    given = "".join(f"const double *restrict {name}, " for name in LAW_SIZES)
+    body = _body(path_law_function())
+    return f"static void path_law({given}double *restrict law)\n{{\n{body}}}\n\n"
 
 
 def _nominal(name: str, function: ca.Function) -> str:
@@ -140,7 +153,7 @@ def _body(function: ca.Function) -> str:
 
 
 def _place(name: str, index: int) -> str:
-    array, first = _PLACES[name]
+    array, first = _PLACES.get(name, (name, 0))
     return array if array == "h" else f"{array}[{first + index}]"
 
 
@@ -148,6 +161,13 @@ def _nominal_statement(name: str, operation: int, operands: Operands) -> str:
     left, right = operands[0][0], operands[-1][0]
     if operation in _SYMBOL:
         expression = f"{left} {_SYMBOL[operation]} {right}"
+    elif operation in _CALL:
+        arguments = left if len(operands) == 1 else f"{left}, {right}"
+        expression = f"{_CALL[operation]}({arguments})"
+    elif operation == ca.OP_NOT:
+        expression = f"!{left}"
+    elif operation == ca.OP_IF_ELSE_ZERO:
+        expression = f"{left} ? {right} : 0.0"
     elif operation == ca.OP_SQ:
         expression = f"{left} * {left}"
     elif operation == ca.OP_TWICE:

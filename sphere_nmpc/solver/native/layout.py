@@ -42,6 +42,9 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
         _NUMBER, _COUNT, *[_ADDRESS] * 6, _COUNT, _COUNT, _ADDRESS, *[_NUMBER] * 4, _ADDRESS,
         _COUNT,
     ),
+    "hold_along_path": (
+        _COUNT, _COUNT, *[_NUMBER] * 5, *[_ADDRESS] * 5, _COUNT, _ADDRESS, _ADDRESS,
+    ),
 }
 """Functions of the compiled solver: types of the result and of the arguments."""
 

@@ -83,12 +83,23 @@ static double knot_before(const problem *p, const double *v, int64_t i)
     return i >= 2 ? v[i - 2] : p->input_in_force[i] / p->input_scale;
 }
 
+/* Effort at scaled knots `v` and the stretch of p, times its weight. */
+static double effort_at(const problem *p, const double *v)
+{
+    double sum = 0.0;
+    for (int64_t i = 0; p->effort_weight > 0.0 && i < 2 * p->intervals; i++) {
+        const double share = (v[i] - knot_before(p, v, i)) / reach_of(p, i / 2);
+        sum += p->stretch * p->durations[i / 2] * share * share;
+    }
+    return p->effort_weight * sum;
+}
+
 /* Move the knots within the limits of acceleration: those that can be reached from the start, and
  * of these those from which the last one can be reached. If there are none, stretch the time. */
 static void keep_acceleration(problem *p, workspace *w)
 {
     const int64_t size = 2 * p->intervals;
-    double stretch = 1.0;
+    double stretch = fmax(1.0, p->least_duration / w->duration);
     for (int64_t i = 0; i < size; i++) {
         const double before = knot_before(p, w->v, i), reach = reach_of(p, i / 2);
         w->v[i] = clip(clip(w->v[i], before - reach, before + reach), w->lower[i], w->upper[i]);
@@ -116,7 +127,7 @@ static double merit_at(problem *p, workspace *w, const double *v, double *inputs
 {
     shoot_knots(p, v, inputs, states, w->interval);
     terminal_error(p, inputs, states, e);
-    return p->stretch * w->duration + p->error_weight * one_norm(e);
+    return p->stretch * w->duration + p->error_weight * one_norm(e) + effort_at(p, v);
 }
 
 static void set_program(const problem *p, const workspace *w, program *q)
@@ -129,9 +140,12 @@ static void set_program(const problem *p, const workspace *w, program *q)
         q->metric[i] = 0.5 * (p->durations[i / 2] + after) / mean;
         q->change[i] = w->v[i] - knot_before(p, w->v, i);
         q->limit[i] = reach_of(p, i / 2);
+        if (q->has_effort)
+            q->effort[i] = 2.0 * p->effort_weight * p->stretch * p->durations[i / 2]
+                           / (q->limit[i] * q->limit[i]);
     }
     q->s_up = LARGEST_STRETCH;
-    q->s_down = -LARGEST_STRETCH;
+    q->s_down = fmax(-LARGEST_STRETCH, p->least_duration / (p->stretch * w->duration) - 1.0);
     q->g = p->stretch * w->duration;
     q->w = p->error_weight;
 }
@@ -141,7 +155,7 @@ static double trial_merit(problem *p, workspace *w, const program *q, double str
 {
     for (int64_t i = 0; i < q->size; i++)
         w->trial[i] = clip(w->v[i] + q->z[i], w->lower[i], w->upper[i]);
-    p->stretch = stretch * (1.0 + q->s);
+    p->stretch = fmax(stretch * (1.0 + q->s), p->least_duration / w->duration);
     return merit_at(p, w, w->trial, w->inputs, w->states, e);
 }
 
@@ -173,6 +187,7 @@ static void minimum_time(problem *p, double began)
     divide_program(&q, w.program, size);
     q.rows = w.rows;
     q.free = w.free;
+    q.has_effort = p->effort_weight > 0.0;
     q.r = p->initial_damping;
     q.tolerance = PROGRAM_TOLERANCE * p->decrease_floor;
     for (int64_t i = 0; i < size; i++)
@@ -201,9 +216,9 @@ static void minimum_time(problem *p, double began)
             break;
         }
         predicted_error(&q, error, linear);
-        const double predicted
-            = p->cost - stretch * (1.0 + q.s) * w.duration - p->error_weight * one_norm(linear);
         double merit = trial_merit(p, &w, &q, stretch, found);
+        const double predicted = p->cost - stretch * (1.0 + q.s) * w.duration
+                                 - p->error_weight * one_norm(linear) - effort_at(p, w.trial);
         if (!(p->cost - merit >= CORRECTED * predicted)) {
             /* The same program for the error that the step has really led to. */
             const double first_s = q.s, first = merit;

@@ -4,13 +4,15 @@
  * The program of one step of minimum_time.h: changes z of the knots and s of the duration that
  *
  *     minimise    g s + w sum_l |e_l + b_l s + (E z)_l| + r/2 sum_i c_i (z_i - a_i)^2
+ *                 + 1/2 sum_i f_i ((change_i (1 - s) + z_i - z_(i-2))^2 + change_i^2 s)
  *     subject to  down <= z <= up,  s_down <= s <= s_up,
  *                 |change_i + z_i - z_(i-2)| <= limit_i (1 + s),
  *
  * by Mehrotra's primal-dual interior-point method (SIAM Journal on Optimization 2, 1992). Each
  * absolute value is the sum of an excess and a shortfall, both positive: their multipliers are
  * w - n_l and w + n_l, n_l being that of the row, which takes the excess and the shortfall out of
- * the equations. What remains is tridiagonal for each rotor, ROW rows and s.
+ * the equations. What remains is tridiagonal for each rotor, ROW rows and s. The last sum, which is
+ * left out where all f are 0, is sum_i f_i/2 (change_i + z_i - z_(i-2))^2 / (1 + s) to second order.
  *
  * The inequalities are in groups of size + PAD: upper and lower bounds, accelerations upwards and
  * downwards. The PAD last ones of a group are none: their slack is 1, all else of them 0. Then
@@ -26,8 +28,9 @@
 typedef struct {
     int64_t size, group, own, count; /* of z; of a group; inequalities before the excesses; all */
     const double *rows; /* size x ROW: E transposed, 0 for fixed knots */
-    double *down, *up, *change, *limit, *metric, *pull; /* size + PAD: c and a are the last two */
+    double *down, *up, *change, *limit, *metric, *pull, *effort; /* size + PAD: c, a, f the last */
     const uint8_t *free; /* size: 0 for fixed knots */
+    int has_effort; /* whether f is not 0 */
     double e[ROW], b[ROW], g, w, r, s_down, s_up, tolerance;
     double *z, s; /* result */
     double *slack, *multiplier, *d_slack, *d_multiplier; /* count */
@@ -40,7 +43,7 @@ typedef struct {
 static int64_t program_size(int64_t size)
 {
     const int64_t group = size + PAD, count = 4 * group + 2 + 2 * ROW;
-    return 8 * count + 13 * (group + PAD) + group * ROW;
+    return 8 * count + 14 * (group + PAD) + group * ROW;
 }
 
 /* Divide memory of program_size(size) doubles, all of which is zero then. */
@@ -48,8 +51,9 @@ static void divide_program(program *q, double *memory, int64_t size)
 {
     double **of_count[] = {&q->slack, &q->multiplier, &q->d_slack, &q->d_multiplier, &q->inverse,
                            &q->weight, &q->target, &q->primal};
-    double **of_size[] = {&q->down, &q->up, &q->change, &q->limit, &q->metric, &q->pull, &q->z,
-                          &q->gradient, &q->dz, &q->diagonal, &q->ratio, &q->by_s, &q->solved_s};
+    double **of_size[] = {&q->down, &q->up, &q->change, &q->limit, &q->metric, &q->pull, &q->effort,
+                          &q->z, &q->gradient, &q->dz, &q->diagonal, &q->ratio, &q->by_s,
+                          &q->solved_s};
     memset(memory, 0, (size_t)program_size(size) * sizeof *memory);
     q->size = size;
     q->group = size + PAD;
@@ -162,6 +166,12 @@ static void factorise(program *q)
                      - q->limit[i] * (faster[i] - slower[i]);
         by_s += q->limit[i] * q->limit[i] * here;
     }
+    for (int64_t i = 0; q->has_effort && i < n; i++) {
+        const double here = q->effort[i], after = q->effort[i + PAD];
+        q->diagonal[i] += here + after;
+        q->by_s[i] += after * q->change[i + PAD] - here * q->change[i];
+        by_s += here * q->change[i] * q->change[i];
+    }
     for (int64_t i = 0; i < n; i++)
         if (!q->free[i])
             q->diagonal[i] += FIXED;
@@ -169,7 +179,8 @@ static void factorise(program *q)
     memcpy(q->solved_s, q->by_s, (size_t)n * sizeof *q->solved_s);
     for (int64_t i = 0; i < n; i++) {
         if (i >= PAD) {
-            const double off = -(faster[i] + slower[i]), ratio = off * q->diagonal[i - PAD];
+            const double off = -(faster[i] + slower[i]) - q->effort[i];
+            const double ratio = off * q->diagonal[i - PAD];
             double *row = q->solved + i * ROW;
             for (int l = 0; l < ROW; l++)
                 row[l] -= ratio * row[l - PAD * ROW];
@@ -265,6 +276,19 @@ static double largest_step(const double *x, const double *d, int64_t count)
     return 1.0 / fmax(fmax(rates[0], rates[1]), fmax(rates[2], rates[3]));
 }
 
+/* Add the derivatives of the effort to the gradient and to that of s. */
+static void add_effort(program *q)
+{
+    for (int64_t i = 0; i < q->size; i++) {
+        const double change = q->change[i];
+        const double slope = q->effort[i] * (change * (1.0 - q->s) + q->z[i] - q->z[i - PAD]);
+        q->gradient[i] += slope;
+        if (i >= PAD)
+            q->gradient[i - PAD] -= slope;
+        q->s_residual += change * (0.5 * q->effort[i] * change - slope);
+    }
+}
+
 /* Residuals of the conditions of optimality; returns the largest one. */
 static double residuals(program *q)
 {
@@ -290,6 +314,8 @@ static double residuals(program *q)
     q->s_residual = q->g + add_weighted_sides(q, q->multiplier, q->gradient);
     for (int k = 0; k < ROW; k++)
         q->s_residual += q->b[k] * q->n[k];
+    if (q->has_effort)
+        add_effort(q);
     for (int64_t i = 0; i < own; i++)
         largest = fmax(largest, fabs(q->primal[i]));
     for (int64_t i = 0; i < n; i++)

@@ -46,6 +46,7 @@ static int is_late(const problem *p, double began)
 #include "minimum_time.h"
 #include "half_motions.h"
 #include "propagation.h"
+#include "path_motion.h"
 #include "way.h"
 #include "clearance.h"
 

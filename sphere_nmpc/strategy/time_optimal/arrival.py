@@ -124,7 +124,7 @@ class ArrivalSolver:
     def solve(
         self, situation: Situation, goal: Goal, guess: FirstOrderHold, factor: float = 1.0,
         budget: float = math.inf, kept: bool = False, coarse: bool = False,
-        iterations: int | None = None,
+        iterations: int | None = None, asked: float = -math.inf,
     ) -> Plan:
         """Return the fastest motion near a guess that ends at the goal.
 
@@ -145,13 +145,15 @@ class ArrivalSolver:
             Whether it is integrated in steps twice as long.
         iterations : int, optional
             Another cap on iterations than that of the settings.
+        asked : float, optional
+            Time [s] up to which the motors are spared; by default it is as early as possible.
         """
         tuning = self.settings
         durations = guess.durations
         steady, turns, rolling = 0, 0, SteadyRolling.of(situation.constants, self._max_speed)
         orientation = _demanded(situation, goal)
         if situation.has_small_momentum:
-            steady, turns = steady_interval(durations, rolling)
+            steady, turns = steady_interval(guess, rolling, self._max_speed)
         if turns:
             # It bends the way to the near goal by less than what is corrected on it.
             situation = replace(
@@ -165,6 +167,9 @@ class ArrivalSolver:
             goal_velocity=goal.rate[POSITION],
             error_weight=factor * tuning.error_weight * self.grid.unit,
         )
+        if asked > guess.start:
+            problem.effort_weight = tuning.effort_weight
+            problem.least_duration = asked - guess.start
         if situation.is_out_of_balance and not situation.uncertainty > 0.0:
             # Where poses are noisy the estimate of this component changes from sample to sample
             # by more than a plan can follow, and it is left to the tilt at rest.
@@ -182,7 +187,10 @@ class ArrivalSolver:
         duration = solution.stretch * (guess.end - guess.start)
         error = math.inf
         if _is_finite(solution):
-            error = max(0.0, solution.cost - duration) / problem.error_weight
+            left = solution.cost - duration
+            if problem.effort_weight > 0.0:
+                left -= problem.effort(solution.inputs, solution.stretch)
+            error = max(0.0, left) / problem.error_weight
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
         work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
@@ -190,21 +198,33 @@ class ArrivalSolver:
 
     def solves(
         self, situation: Situation, known: Plan, deadline: float = math.inf,
-        iterations: int | None = None,
+        iterations: int | None = None, asked: float = -math.inf,
     ) -> Iterator[Plan]:
         """Yield solutions from a known plan on, the last of which has no error if one has none.
 
         The error weighs more from one to the next. `deadline` is a steady clock reading [s],
-        `iterations` another cap than that of the settings.
+        `iterations` another cap than that of the settings, `asked` as for `solve`.
         """
         for factor in RAISES:
             known = self.solve(
                 situation, known.leg.goal, known.hold, factor, deadline - time.perf_counter(),
-                iterations=iterations,
+                iterations=iterations, asked=asked,
             )
             yield known
             if known.error <= self.settings.arrival_error:
                 return
+
+    def spared(
+        self, situation: Situation, plan: Plan, slower: FirstOrderHold, deadline: float
+    ) -> Iterator[Plan]:
+        """Yield motions as long as a plan that is slowed: one of little effort, and that one.
+
+        `deadline` is a steady clock reading [s].
+        """
+        guess, cap = replace(plan, hold=slower), self.settings.sparing_iterations
+        *_, found = self.solves(situation, guess, deadline, cap, slower.end)
+        yield found
+        yield self.solve(situation, plan.leg.goal, slower, kept=True, asked=slower.end)
 
     def _compensation(self, situation: Situation, durations: Vector, knots: Vector) -> Vector:
         """Return the speeds that hold the momentum along knots u_1 ... u_N [rad/s], (N, 2)."""

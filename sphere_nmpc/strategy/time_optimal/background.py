@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
@@ -23,6 +24,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan
@@ -31,11 +33,14 @@ from sphere_nmpc.strategy.time_optimal.guide import Guide, with_lines
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import slowed
 from sphere_nmpc.worker.contract import Reply, Store, Worker
 from sphere_nmpc.worker.in_line import InLine
 
 _GROWTH = 2.0
 """Factor on the time ahead after a search that was not complete in time."""
+_SEARCHING = 0.75
+"""Share of the wall time of a search after which the motors are spared with what it has found."""
 _LEAST_TICK = 0.02
 """Delay [s] by which a plan may begin later at the highest control rates, too."""
 
@@ -83,6 +88,12 @@ class SearchTask:
         where it is now.
     is_next : bool
         Whether it is for the leg after the one that is followed, from the end of that.
+    margin : float
+        Share of the least time that a new plan may take longer, to spare the motors.
+    asked : float
+        Time at which it is to arrive [s]; -inf where that follows from the margin.
+    spared : float
+        Time by which the plan that is known arrives later [s], to spare the motors.
     """
 
     robot: RobotParameters
@@ -96,6 +107,9 @@ class SearchTask:
     failed: int = 0
     rested: Vector | None = None
     is_next: bool = False
+    margin: float = 0.0
+    asked: float = -math.inf
+    spared: float = 0.0
 
     @property
     def solver(self) -> ArrivalSolver:
@@ -108,7 +122,9 @@ class SearchTask:
         It is another one than that which is known. Without one it is why there is none wherever
         one searches; empty where that is not so.
         """
-        end, situation = time.perf_counter() + self.longest, self.situation
+        began, situation = time.perf_counter(), self.situation
+        is_paced = self.margin > 0.0 or self.spared > 0.0 or self.asked > -math.inf
+        end = began + (_SEARCHING if is_paced else 1.0) * self.longest
         guide = Guide(situation, self.solver, self.rested)
         if self.known is None:
             found = self._new(situation, guide, end)
@@ -116,6 +132,8 @@ class SearchTask:
             found = self._earlier(situation, guide, self.known, end)
         if not isinstance(found, Plan):
             return found or ""
+        if is_paced and found.leg.end is LegEnd.REST:
+            found = self._paced(situation, found, began + self.longest)
         return replace(found, made=replace(found.made, motion=self.seed))
 
     def _new(self, situation: Situation, guide: Guide, end: float) -> Plan | str | None:
@@ -147,7 +165,24 @@ class SearchTask:
             return None
         search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
         found = search.improve_once(end)
-        return None if found is start else found
+        if found is start or found is None or found.duration + self.spared >= start.duration:
+            return None
+        return found
+
+    def _paced(self, situation: Situation, found: Plan, end: float) -> Plan:
+        """Return a plan that spares the motors near the one found; without one that itself."""
+        margin, longer = self.margin, 0.0
+        if self.asked > -math.inf:
+            margin, longer = 0.0, max(0.0, self.asked - found.end)
+        elif self.known is not None:
+            margin, longer = 0.0, self.spared
+        slower = slowed(found.hold, found.made.turns > 0, margin, longer)
+        spared = slower.end - found.end
+        for plan in self.solver.spared(situation, found, slower, end) if spared > 0.0 else ():
+            is_there = plan.error <= self.tuning.arrival_error
+            if is_there and is_clear(situation, plan.hold, Margin.FOUND):
+                return replace(plan, asked=slower.end, spared=spared)
+        return replace(found, asked=self.asked)
 
     def _by_lines(self, situation: Situation, guide: Guide, end: float) -> Plan | None:
         """Return a plan to the goal that ends with straight lines to it."""
@@ -296,12 +331,13 @@ class BackgroundSearch:
     def begin(
         self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector | None,
         from_rest: bool = False, known: FirstOrderHold | None = None, is_new: bool = True,
-        is_next: bool = False,
+        is_next: bool = False, leg_began: float = -math.inf, spared: float = 0.0,
     ) -> None:
         """Begin a search; see `SearchTask`.
 
         `deadline` is the steady clock reading [s] at which one in line stops. It `is_new` unless
         a plan to the goal itself is followed: failed searches then make the local goal nearer.
+        `leg_began` is the control time at which the leg has begun [s].
         """
         worker, tuning = self._by, self._tuning
         # In motion the next search has another problem, which may be easier.
@@ -310,11 +346,13 @@ class BackgroundSearch:
         longest = growth * tuning.longest_search
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
+        settings = self._settings
+        asked = leg_began + settings.arrive_at - start.time if settings.arrive_at else -math.inf
         task = SearchTask(
             solver.robot, tuning, start.from_zero(), next(self._seeds),
-            round(growth * self._settings.planning_effort), longest, from_rest,
+            round(growth * settings.planning_effort), longest, from_rest,
             None if known is None else known.delayed(-start.time), failed if is_new else 0, rested,
-            is_next,
+            is_next, settings.time_margin, asked, spared,
         )
         self._reply = worker.submit(task)
         self._task = None if self._reply.error else (task, start)
@@ -350,6 +388,8 @@ class BackgroundSearch:
                 self.failed_ahead = 0
             else:
                 self.no_way, self._no_way_on = "", None
+                if task.from_rest and task.asked > -math.inf:
+                    found = _sooner(found, min(late, found.spared))
             plan = found.delayed(now if task.from_rest else start.time)
             return InForce(plan, start, task.robot, task.rested), task.is_next
         if task.is_next:
@@ -359,6 +399,16 @@ class BackgroundSearch:
         self._has_failed = not found
         self.failed += self._has_failed
         return None
+
+
+def _sooner(plan: Plan, earlier: float) -> Plan:
+    """Return a plan that arrives `earlier` [s], along the same path."""
+    hold = slowed(plan.hold, plan.made.turns > 0, longer=-earlier)
+    goal = replace(plan.leg.goal, since=hold.end)
+    return replace(
+        plan, hold=hold, leg=replace(plan.leg, goal=goal), asked=plan.asked - earlier,
+        spared=plan.spared - earlier,
+    )
 
 
 def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Following a plan: what is left of it is solved again from the measured state."""
 
+import math
 import operator
 import time
 from dataclasses import replace
@@ -80,7 +81,7 @@ def solved_again(
     if before.end - now < _ENDED:
         return None
     hold = rest = left_of(before, now, solver.grid)
-    goal = before.leg.goal
+    goal, asked = before.leg.goal, before.asked if before.spared else -math.inf
     if is_aimed and before.leg.end is LegEnd.REST:
         goal = situation.aim(nearer_sign(situation.goal.pose, goal.pose))
     # With noise an error is left where it would take a manoeuvre to correct it.
@@ -88,7 +89,7 @@ def solved_again(
     wanted = max(settings.arrival_error, noisy)
     for factor in RAISES:
         plan = solver.solve(
-            situation, goal, hold, factor, deadline - time.perf_counter(), kept=True
+            situation, goal, hold, factor, deadline - time.perf_counter(), kept=True, asked=asked
         )
         if plan.error <= wanted or time.perf_counter() > deadline:
             break
@@ -99,11 +100,13 @@ def solved_again(
         if not is_clear(situation, plan.hold, Margin.KEPT):
             return None
     reaches = plan.error <= max(dead_band, settings.leaving_error)
-    own = before.leg
+    own, text = before.leg, f"a motion of {plan.duration:.2f} s"
+    if before.asked > asked and plan.end > before.asked:
+        text += f", {plan.end - before.asked:.2f} s later than asked"
     plan = replace(
         plan, status=PlanStatus.SOLVED if reaches else PlanStatus.BEST_SO_FAR,
         leg=replace(own, goal=plan.leg.goal), made=replace(plan.made, motion=before.made.motion),
-        conditions=(Condition(Kind.PLANNED, f"a motion of {plan.duration:.2f} s"),),
+        conditions=(Condition(Kind.PLANNED, text),), asked=before.asked, spared=before.spared,
     )
     made_for = followed.situation
     if not is_aimed:

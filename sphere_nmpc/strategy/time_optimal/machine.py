@@ -100,6 +100,7 @@ class Machine:
         self.state: State = Searching()
         """The state at the last sampling instant."""
         self._found_next: InForce | None = None
+        self._leg_began = math.nan
         self.search.reset()
 
     def forget_goal(self) -> None:
@@ -107,7 +108,7 @@ class Machine:
         search = self.search
         if isinstance(self.state, Searching) and (search.no_way or search.failed):
             search.cancel()
-        search.no_way = ""
+        search.no_way, self._leg_began = "", math.nan
 
     def use_attained(self, acceleration: float) -> None:
         """Plan with the acceleration [rad/s^2] that the drives attain, also what remains."""
@@ -123,6 +124,9 @@ class Machine:
             self.state = before.on_leg(situation)
             if self.state is not before:
                 self.search.begin_leg()
+                self._leg_began = before.plan.end
+        if math.isnan(self._leg_began):
+            self._leg_began = situation.time
         return self.state
 
     def advance(self, situation: Situation, deadline: float) -> State:
@@ -193,7 +197,7 @@ class Machine:
         if not self._leads_to(found, situation) or not _reaches(found):
             return False
         gain = _LEAST_GAIN * self._solver_of(kept).grid.unit
-        return not _reaches(kept) or found.plan.arrival < kept.plan.arrival - gain
+        return not _reaches(kept) or found.plan.cost < kept.plan.cost - gain
 
     def _found(
         self, situation: Situation, dead_band: float, deadline: float
@@ -223,23 +227,23 @@ class Machine:
                     replace(followed, after=one), situation, solver, dead_band, deadline
                 )
                 plans += [] if after is None else [after]
-        shortest = min(plans, key=lambda one: one.plan.duration, default=None)
+        shortest = min(plans, key=lambda one: one.plan.cost, default=None)
         return replace(followed, after=shortest)
 
     def _begin_next(self, followed: InForce, situation: Situation, deadline: float) -> None:
         """Begin a search for the next leg, or for a shorter plan of it."""
         search, after, start = self.search, followed.after, at_its_end(followed, situation)
         if after is None:
-            solver, known = search.solver_from(situation), None
+            solver, known, spared = search.solver_from(situation), None, 0.0
             start = start.nearest_to(start.state)
         else:
             solver = self._solver_of(after)
             start = start.aimed_at(start.aim(after.plan.leg.goal.pose))
-            known = left_of(after.plan, start.time, solver.grid)
+            known, spared = left_of(after.plan, start.time, solver.grid), after.plan.spared
         search.improved_at = situation.time
         search.begin(
             start, solver, deadline, start.state[POSITION], from_rest=True, known=known,
-            is_next=True,
+            is_next=True, leg_began=start.time, spared=spared,
         )
 
     def _search(self, situation: Situation, at_rest: bool, deadline: float) -> None:
@@ -249,7 +253,9 @@ class Machine:
             ramp, begins = stop(situation, self._robot, "").hold, situation.time + search.ahead
             start = later(situation, ramp, begins, search.solver.grid.fine)
         solver, place = search.solver_from(situation), situation.state[POSITION]
-        search.begin(start, solver, deadline, place, from_rest=at_rest)
+        search.begin(
+            start, solver, deadline, place, from_rest=at_rest, leg_began=self._leg_began
+        )
 
     def _improved(
         self, followed: InForce, situation: Situation, dead_band: float, deadline: float,
@@ -277,7 +283,10 @@ class Machine:
             start, known = start.aimed_at(start.aim(pose)), left_of(plan, start.time, solver.grid)
         rested = followed.rested if suits else None
         search.improved_at = now
-        search.begin(start, solver, deadline, rested, known=known, is_new=is_passed)
+        search.begin(
+            start, solver, deadline, rested, known=known, is_new=is_passed,
+            leg_began=self._leg_began, spared=plan.spared,
+        )
         if search.ahead:
             return followed
         found = self._found(situation, dead_band, deadline)

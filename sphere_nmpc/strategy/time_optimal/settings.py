@@ -36,6 +36,11 @@ class TimeOptimalSettings:
     error is left."""
     iterations: int = 8
     """Cap on iterations of a minimum-time problem, before the error weighs more."""
+    effort_weight: float = 0.1
+    """Time that a second of effort is worth [-] where the motors are spared: so little that the
+    arrival is no later than it may be, and so much that a step towards less effort counts."""
+    sparing_iterations: int = 100
+    """Cap on its iterations there: it begins farther away."""
     momentum_weight: float = 0.02
     """Error [-] that 1 rad/s of momentum along the body's z axis at the end counts as, where an
     imbalance lets the plan change it: it turns the sphere at 0.05 rad/s."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import SAME, FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants
-from sphere_nmpc.model.state import Vector
 
 _LEAST_INTEGRATED = 0.5
 """Turns that remain in an interval of steady rolling when whole ones are left out, at the least:
@@ -56,14 +55,35 @@ class SteadyRolling:
         return _MANOEUVRE + way / self.speed
 
 
-def steady_interval(durations: Vector, rolling: SteadyRolling) -> tuple[int, int]:
+def steady_interval(
+    hold: FirstOrderHold, rolling: SteadyRolling, max_speed: float
+) -> tuple[int, int]:
     """Return the index of the interval of steady rolling and the whole turns left out of it.
 
-    Both are 0 without one. `durations` are the lengths of all intervals [s].
+    Both are 0 without one: there the rotors are at the limit `max_speed` [rad/s].
     """
-    longest = int(np.argmax(durations))
-    turns = max(0, int(float(durations[longest]) / rolling.turn_time - _LEAST_INTEGRATED))
-    return (longest, turns) if turns else (0, 0)
+    longest = int(np.argmax(hold.durations))
+    turns = max(0, int(float(hold.durations[longest]) / rolling.turn_time - _LEAST_INTEGRATED))
+    if not turns or np.any(np.abs(hold.speeds[longest : longest + 2]) < _NEARLY * max_speed):
+        return 0, 0
+    return longest, turns
+
+
+def slowed(
+    hold: FirstOrderHold, is_steady: bool, margin: float = 0.0, longer: float = 0.0
+) -> FirstOrderHold:
+    """Return rotor speeds, from time 0 on, that lead along the same path in more time.
+
+    They are slower by a share of the time, or take `longer` [s]. An interval of steady rolling, if
+    there `is_steady` one, is kept.
+    """
+    durations, speeds = hold.durations.copy(), hold.speeds.copy()
+    slower = np.ones(durations.size, dtype=bool)
+    slower[np.argmax(durations)] = not is_steady
+    factor = 1.0 + margin + longer / float(np.sum(durations[slower]))
+    durations[slower] *= factor
+    speeds[np.append(slower, True) & np.append(True, slower)] /= factor
+    return FirstOrderHold(np.concatenate(([0.0], np.cumsum(durations))), speeds)
 
 
 def with_turns(hold: FirstOrderHold, added: float, max_speed: float) -> FirstOrderHold:

@@ -6,20 +6,26 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from sphere_nmpc.errors import InvalidStateError
+from sphere_nmpc.foreign_file import InvalidFileError, find_file
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.quantity import counted
 from sphere_nmpc.ros.goal_link import GoalMessage
+from sphere_nmpc.ros.messages import MOST_PLACES
 from sphere_sim.output.arguments import finite, not_negative
 from sphere_sim.ros.session.goal_messages import (
     goals_message,
+    path_message,
     point_message,
     pose_message,
 )
+from sphere_sim.scenario.csv_file import ScenarioFileError, read_places
 from sphere_sim.scenario.scenarios import PAPER_CASES
 
 _ROUNDED = 1.001
@@ -31,9 +37,9 @@ _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 class GoalRequest:
     """What to send, and what to wait for.
 
-    It has the goals in order, each of shape (6,), of which a `point` has only a position; the
-    longest wait for a controller [s]; whether to wait for the arrival, and to cancel when that is
-    interrupted.
+    It has the goals in order, each of shape (6,), of which a `point` has only a position, or the
+    places of a path to the only one, shape (P, 2) [m]; the longest wait for a controller [s];
+    whether to wait for the arrival, and to cancel when that is interrupted.
     """
 
     goals: tuple[Vector, ...]
@@ -41,10 +47,13 @@ class GoalRequest:
     timeout: float = 10.0
     wait: bool = False
     cancel_on_interrupt: bool = False
+    places: Vector | None = None
 
-    @property
+    @cached_property
     def message(self) -> GoalMessage:
         """The message to send."""
+        if self.places is not None:
+            return path_message(self.places)
         if len(self.goals) > 1:
             return goals_message(self.goals)
         return (point_message if self.point else pose_message)(self.goals[0])
@@ -52,6 +61,8 @@ class GoalRequest:
     def __str__(self) -> str:
         goal = self.goals[-1]
         text = f"goal x {goal[0]:g} y {goal[1]:g} m"
+        if self.places is not None:
+            return f"path of {counted(len(self.places), 'place')} to x {goal[0]:g} y {goal[1]:g} m"
         if self.point:
             return f"{text}, any orientation"
         if len(self.goals) > 1:
@@ -76,6 +87,17 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
         )
     if given.degrees and given.yaw is None and not any(len(goal) == 3 for goal in given.then):
         parser.error("--degrees: given without --yaw, whose unit it is")
+    if given.path is not None:
+        if given.then or given.position:
+            parser.error("--path: given with goals, expected all places in the file")
+        try:
+            places = read_places(find_file(given.path), 2 * MOST_PLACES)
+        except (InvalidFileError, ScenarioFileError) as error:
+            parser.error(str(error))
+        return GoalRequest(
+            (make_state(places[-1], _UPRIGHT),), True, given.timeout, given.wait,
+            given.cancel_on_interrupt, places,
+        )
     try:
         goals = [_first(parser, given)]
         for numbers in given.then:
@@ -111,6 +133,10 @@ def _parser() -> argparse.ArgumentParser:
         "--yaw", type=finite, metavar="ANGLE", help="orientation about the vertical [rad]"
     )
     how.add_argument("--point", action="store_true", help="any orientation at that position")
+    how.add_argument(
+        "--path", type=Path, metavar="FILE.csv",
+        help="path through the places of a file, x,y [m] in a row, whose header may name others",
+    )
     how.add_argument(
         "--case", type=int, choices=sorted(PAPER_CASES), help="goal of a case of the paper"
     )

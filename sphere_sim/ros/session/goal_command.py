@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Command ``goal``: send goals, and print whether they are in force, or reached."""
+"""Command ``goal``: send goals or a path, and print whether they are in force, or reached."""
 
 import math
 import sys
@@ -68,7 +68,9 @@ def _outcome(request: GoalRequest, sender: GoalSender) -> str:
 
         with GoalDisplay() as display:
             took = _wait(sender, display.update)
-        return f"reached after {took:.2f} s{_error(sender)}"
+        off = display.largest_deviation
+        told = f", at most {1e3 * off:.2g} mm off the path" if math.isfinite(off) else ""
+        return f"reached after {took:.2f} s{_error(sender)}{told}"
     # The newest decision may be one of before the goal.
     end = time.monotonic() + _ANSWER_TIMEOUT
     while sender.report.mode == Kind.NO_GOAL.value and time.monotonic() < end:

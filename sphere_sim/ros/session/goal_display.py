@@ -4,6 +4,7 @@
 
 import math
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.progress_bar import ProgressBar
@@ -24,12 +25,15 @@ class GoalDisplay(LiveDisplay):
         super().__init__(Console(stderr=True))
         self._report = GoalReport()
         self._way = Way()
+        self.largest_deviation = math.nan
+        """Largest distance from a path in the reports [m]; nan where none was followed."""
 
     def update(self, report: GoalReport) -> None:
         """Show a report, unless it is about no goal."""
         if report.count:
             self._report = report
             self._way.add(report)
+            self.largest_deviation = np.fmax(self.largest_deviation, abs(report.deviation))
             self.show(self._picture, self._line, report.is_at_goal)
 
     def _picture(self) -> Table:
@@ -71,10 +75,12 @@ class Way:
 
 
 def _left(progress: GoalReport) -> str:
-    """Return the length of the path and the time that are left, in a text of constant length."""
+    """Return what is left of way and time, and the deviation, in a text of constant length."""
     which = f"goal {progress.index + 1} of {progress.count}: " if progress.count > 1 else ""
     path, time = progress.distance_left, progress.time_left
-    return f"{which}{_number(path, 6, 2)} m, {_number(time, 5, 1)} s left"
+    off = 1e3 * abs(progress.deviation)
+    told = f", {_number(off, 5, 1)} mm off the path" if math.isfinite(off) else ""
+    return f"{which}{_number(path, 6, 2)} m, {_number(time, 5, 1)} s left{told}"
 
 
 def _number(value: float, width: int, digits: int) -> str:

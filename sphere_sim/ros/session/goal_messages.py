@@ -8,7 +8,7 @@ They have no frame, which means that of the controller, and a stamp of 0, which 
 from collections.abc import Sequence
 
 from geometry_msgs.msg import Point, PointStamped, PoseStamped
-from nav_msgs.msg import Goals
+from nav_msgs.msg import Goals, Path
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -26,6 +26,14 @@ def pose_message(goal: Vector) -> PoseStamped:
 def point_message(position: Sequence[float] | Vector) -> PointStamped:
     """Return the message of a goal at a position [m] with any orientation."""
     return PointStamped(point=Point(x=float(position[0]), y=float(position[1]), z=_HEIGHT))
+
+
+def path_message(places: Vector) -> Path:
+    """Return the message of a path through places, shape (P, 2) [m]."""
+    poses = [PoseStamped() for _ in places]
+    for pose, (x, y) in zip(poses, places.tolist(), strict=True):
+        pose.pose.position = Point(x=x, y=y, z=_HEIGHT)
+    return Path(poses=poses)
 
 
 def goals_message(goals: Sequence[Vector]) -> Goals:

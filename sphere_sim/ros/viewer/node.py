@@ -3,8 +3,9 @@
 """Viewer node: shows the topics of a robot in the browser, and sends the requests of users.
 
 subscribes  pose, ground_truth/pose, joint_states, controller/active_goal,
-            controller/predicted_path, controller/floor, controller/status, /diagnostics
-publishes   goal_pose, goal_point, simulator/push
+            controller/path, controller/predicted_path, controller/floor, controller/status,
+            /diagnostics
+publishes   goal_pose, goal_point, path, simulator/push
 calls       controller/enable, controller/cancel, simulator/pause, simulator/reset and parameters,
             where available
 """
@@ -15,7 +16,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3
+from nav_msgs.msg import Path
 from rclpy.executors import Executor
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
@@ -30,7 +33,7 @@ from sphere_nmpc.ros.lifetime import lower_priority, run
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.recording.run import setup_text
-from sphere_sim.ros.session.goal_messages import point_message, pose_message
+from sphere_sim.ros.session.goal_messages import path_message, point_message, pose_message
 from sphere_sim.ros.simulator.settings import SimulatorNodeSettings
 from sphere_sim.ros.viewer.remote_parameter import RemoteParameter
 from sphere_sim.ros.viewer.robot_subscriptions import RobotSubscriptions
@@ -45,6 +48,7 @@ from sphere_sim.viewer.source import (
     Request,
     Reset,
     SetGoal,
+    SetPath,
     SetPoint,
     SetSpeed,
     SetStrategy,
@@ -73,7 +77,7 @@ class TopicSource:
         self._notices: list[str] = []
         notify = self._notices.append
         self._link = GoalLink(
-            node, (PoseStamped, PointStamped), NavigatorSettings(), self._take_ending
+            node, (PoseStamped, PointStamped, Path), NavigatorSettings(), self._take_ending
         )
         self._speed = RemoteParameter(
             node, "simulator", "real_time_factor", SimulatorNodeSettings, notify, ["plant"]
@@ -108,6 +112,8 @@ class TopicSource:
             return self._send(pose_message(request.goal))
         if isinstance(request, SetPoint):
             return self._send(point_message(request.position))
+        if isinstance(request, SetPath):
+            return self._send(path_message(np.array(request.places)))
         if isinstance(request, Enable):
             return self._call(self._enable, SetBool.Request(data=request.enabled))
         if isinstance(request, Cancel):

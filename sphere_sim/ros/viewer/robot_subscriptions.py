@@ -22,7 +22,7 @@ from sphere_nmpc.quantity import stamp_text
 from sphere_nmpc.ros import cdr
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_nmpc.ros.graph_monitor import publishers_of
-from sphere_nmpc.ros.messages import pose_from_ros
+from sphere_nmpc.ros.messages import framed_places_from_ros, pose_from_ros
 from sphere_sim.recording.message_fields import TRUE_POSE
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.source import Frame
@@ -68,6 +68,7 @@ class RobotSubscriptions:
         node.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
         if scene_only:
             return
+        node.create_subscription(Path, "controller/path", self._take_path, latched)
         for kind, topic, take, qos in (
             (OccupancyGrid, "controller/floor", self._take_floor, latched),
             (JointState, "joint_states", self._take_joint_states, newest),
@@ -115,6 +116,13 @@ class RobotSubscriptions:
         with suppress(InvalidStateError):
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
             self._live.update(plan=np.array(states).reshape(-1, 6))
+
+    def _take_path(self, message: Path) -> None:
+        self._arrival()
+        with suppress(InvalidStateError):
+            frame, is_none = message.header.frame_id, not message.poses
+            places = np.empty((0, 2)) if is_none else framed_places_from_ros(message, frame)
+            self._live.update(path=places)
 
     def _take_floor(self, raw: bytes) -> None:
         self._arrival()

@@ -8,6 +8,7 @@ import pytest
 from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector, upright_state
 
 POSES = [upright_state(x, 0.0, 0.0) for x in (1.0, 2.0, 3.0)]
@@ -47,6 +48,18 @@ def test_list_that_is_given_again_at_its_end_begins_again(course) -> None:
     assert course.take(given(*POSES, stamp=3), None, True)
     assert (course.active.index, course.active.stamp) == (0, 3)
     assert course.active.course.origin is not origin
+
+
+def test_path_that_is_given_again_is_begun_again_at_its_end_and_replaced_by_another_one() -> None:
+    direct, round_about = [[0.0, 0.0], [2.0, 0.0]], [[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]]
+    course, taken = CourseInForce(), []
+    for number, (places, at_end) in enumerate(
+        [(direct, False), (direct, False), (direct, True), (round_about, False)]
+    ):
+        paths = Path.through(np.array(places), 0.02, 0.3)
+        taken.append(course.take(ActiveCourse(Course.along(*paths)), 0.2 * number, at_end))
+    assert taken == [True, False, True, True]
+    assert course.take(given(POSES[1]), 0.8, False) and not course.active.course.paths
 
 
 def test_single_goal_that_is_given_again_at_its_end_is_not_begun_again() -> None:

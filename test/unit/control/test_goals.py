@@ -86,11 +86,12 @@ def test_status_of_a_controller_that_has_not_planned_yet_is_read() -> None:
         "goal_count": "2", "at_rest": "true", "plans": "3", "time_s": "4", "time_left_s": "0.5",
         "distance_left_m": "0.1", "total_time_left_s": "1.5",
         "total_distance_left_m": "0.25", "unreachable": "no way", "no_progress": "",
-        "giving_up": "the goal",
+        "giving_up": "the goal", "path_deviation_m": "-0.02", "path_heading_error_rad": "0.3",
+        "path_speed_m_s": "0.75",
     }
     assert GoalReport.of(VALUES | more) == GoalReport(
         "7.000000001", 1, 2, "at the goal", True, 3, 4.0, 0.5, 0.1, 1.5, 0.25, "no way",
-        "the strategy gives up the goal",
+        "the strategy gives up the goal", -0.02, 0.3, 0.75,
     )
     assert math.isnan(GoalReport.of(VALUES | {"distance_left_m": "1e300"}).distance_left)
     for wrong in (

@@ -3,20 +3,27 @@
 """Translation of goals, feedback and results, for older and newer versions of Nav2."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import navigation_messages
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Goals
+from nav_msgs.msg import Goals, Path
 
 from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
-from sphere_nmpc.ros.navigator.requests import action_types, feedback_of, result_of, stages_of
+from sphere_nmpc.ros.navigator.requests import (
+    action_types,
+    feedback_of,
+    result_of,
+    stages_of,
+    ways_of,
+)
 
 POSES = [[1.0, 2.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
 
@@ -100,7 +107,7 @@ def test_more_poses_than_the_controller_takes_are_refused_whatever_they_are() ->
 def test_feedback_has_what_is_left_of_all_as_far_as_it_is_known(kinds) -> None:
     report = GoalReport("", 2, 3, total_time_left=1.25, total_distance_left=2.5)
     kind = kinds["navigate_through_poses"]
-    feedback = feedback_of(kind, report, 3.5, 0, stamped(POSES[1]))
+    feedback = feedback_of(kind, report, 3.5, 0, stamped(POSES[1]), None)
     assert feedback.number_of_poses_remaining == 1
     assert feedback.number_of_recoveries == 0
     assert feedback.distance_remaining == 2.5
@@ -108,11 +115,42 @@ def test_feedback_has_what_is_left_of_all_as_far_as_it_is_known(kinds) -> None:
     left = feedback.estimated_time_remaining
     assert (left.sec, left.nanosec) == (1, 250_000_000)
     assert pose_from_ros(feedback.current_pose).tolist() == POSES[1]
-    assert feedback_of(kinds["follow_waypoints"], report, 0.0, 4, None).current_waypoint == 4
-    feedback = feedback_of(kinds["navigate_to_pose"], GoalReport(), -1.0, 0, stamped(POSES[1]))
+    assert feedback_of(kinds["follow_waypoints"], report, 0.0, 4, None, None).current_waypoint == 4
+    pose = stamped(POSES[1])
+    feedback = feedback_of(kinds["navigate_to_pose"], GoalReport(), -1.0, 0, pose, None)
     assert math.isnan(feedback.distance_remaining)
     assert feedback.estimated_time_remaining.sec == 2**31 - 1
     assert feedback.navigation_time.sec == 0
+
+
+def test_path_is_sent_as_it_is_and_its_feedback_is_how_it_is_followed(kinds) -> None:
+    path = Path(poses=[PoseStamped() for _ in range(4)])
+    places = [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0), (3.0, 2.0)]
+    for pose, (x, y) in zip(path.poses, places, strict=True):
+        pose.header.frame_id = "map"
+        pose.pose.position.x, pose.pose.position.y = x, y
+    (sent,) = stages_of(SimpleNamespace(path=path, controller_id="a", goal_checker_id=""), "map")
+    assert sent is path
+    assert sent.header.frame_id == "map"
+    with pytest.raises(InvalidValueError, match="frame: given 'map', expected 'world'"):
+        stages_of(SimpleNamespace(path=path), "world")
+    for poses in ([], [PoseStamped()] * 10_001):
+        with pytest.raises(InvalidValueError, match=f"path: given {len(poses)} poses, expected 1"):
+            stages_of(SimpleNamespace(path=Path(poses=poses)), "map")
+    ways = ways_of(path)
+    assert ways.tolist() == [0.0, 1.0, 3.0, 5.0]
+    report = GoalReport("", total_distance_left=3.5, deviation=0.25, heading_error=0.5, speed=0.75)
+    found = feedback_of(kinds["follow_path"], report, 0.0, 0, None, ways)
+    assert (found.distance_to_goal, found.speed) == (3.5, 0.75)
+    pose, newer = stamped(POSES[0], "map"), SimpleNamespace(tracking_feedback=SimpleNamespace())
+    kind = SimpleNamespace(Feedback=lambda: newer)
+    for left, index in ((7.0, 0), (3.5, 1), (1.0, 2), (0.0, 3), (math.nan, 0)):
+        report = replace(report, total_distance_left=left)
+        told = feedback_of(kind, report, 0.0, 0, pose, ways).tracking_feedback
+        assert told.current_path_index == index
+    # To the right of the path is a positive heading error there.
+    assert (told.position_tracking_error, told.heading_tracking_error) == (0.25, -0.5)
+    assert (told.header.frame_id, told.robot_pose, told.speed) == ("map", pose, 0.75)
 
 
 @pytest.mark.parametrize("outcome", Outcome)
@@ -139,6 +177,8 @@ def test_what_is_not_pursued_has_the_code_of_nav2_for_its_cause(kinds, cause, co
         result = result_of(kind, ending, waypoints, 1)
         beyond = 100 if name == "navigate_through_poses" and code > 200 else 0
         unknown = getattr(kind.Result, "UNKNOWN", 1)
+        if name == "follow_path" and code > 200:
+            beyond = 103 - code  # an invalid path
         if name == "follow_waypoints":
             assert result.error_code == unknown
             assert [one.index for one in result.missed_waypoints] == [0, 0]

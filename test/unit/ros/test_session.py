@@ -50,6 +50,30 @@ def test_arguments_name_goals_which_are_sent_in_order(arguments, kind, goals, to
         np.testing.assert_allclose(sent, goals, atol=1e-5)
 
 
+def test_path_is_read_from_a_file_and_its_deviation_is_shown(tmp_path, capsys) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text("x,y\n0,0\n1,0\n1,2.5\n")
+    request = parse(["--path", str(file), "--wait"])
+    assert str(request) == "path of 3 places to x 1 y 2.5 m"
+    places = [(it.pose.position.x, it.pose.position.y) for it in request.message.poses]
+    assert places == [(0.0, 0.0), (1.0, 0.0), (1.0, 2.5)]
+    for arguments, told in (
+        (["1", "2"], "--path: given with goals"), (["--yaw", "1"], "not allowed with"),
+        (["--degrees"], "--degrees: given without"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            parse(["--path", str(file), *arguments])
+        assert told in capsys.readouterr().err
+    pytest.importorskip("rich")
+    from sphere_sim.ros.session.goal_display import GoalDisplay
+
+    with GoalDisplay() as display:
+        for deviation in (0.004, -0.0125, math.nan):
+            display.update(GoalReport("1.0", 0, 1, "m", time_left=1.0, deviation=deviation))
+    assert capsys.readouterr().err == "     – m,   1.0 s left,   4.0 mm off the path, m\n"
+    assert display.largest_deviation == 0.0125
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

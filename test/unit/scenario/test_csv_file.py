@@ -11,6 +11,8 @@ import pytest
 
 from sphere_sim.scenario import csv_file
 from sphere_sim.scenario.csv_file import (
+    GOAL_COLUMNS,
+    START_COLUMNS,
     STATE_COLUMNS,
     ScenarioFileError,
     read_scenarios,
@@ -94,10 +96,69 @@ def test_push_and_disturbances_are_optional_columns_and_may_be_empty(tmp_path) -
     ]
 
 
+def with_path(folder: Path, text: str, *places: str) -> Path:
+    (folder / "way.csv").write_text("\n".join(places))
+    goal = "," * len(GOAL_COLUMNS)
+    header = HEADER + ",path,path_speed"
+    return write(folder, header, f"{ROW[:12]}{goal}{text},0.3", f"{ROW},,", f"{ROW},way.csv,")
+
+
+def test_path_is_read_beside_the_scenarios_and_needs_no_goal(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir("/")
+    path = with_path(tmp_path, "way.csv", "who, y, x", "a, 0, 1", "", "b, 0.5, 2")
+    along, plain, again = read_scenarios(path)
+    np.testing.assert_array_equal(along.follows.places, [[1, 0], [2, 0.5]])
+    np.testing.assert_array_equal(along.goal, [2, 0.5, 1, 0, 0, 0])
+    assert (along.path_speed, again.path_speed) == (0.3, None)
+    assert along.follows.file == tmp_path / "way.csv" and plain.follows is None
+    assert again.follows.places is along.follows.places, "each file is read once"
+    legs = along.course(0.02, 0.3).legs
+    assert [leg.follows.tolerance for leg in legs] == [0.02]
+    np.testing.assert_allclose(legs[0].follows.places[[0, -1]], along.follows.places, atol=1e-12)
+    with_path(tmp_path, "way.csv", "1,0", "2,0.5")
+    start, cells = ",".join(START_COLUMNS), ROW[:11]
+    (short,) = read_scenarios(write(tmp_path, f"{start},path", f"{cells},{tmp_path}/way.csv"))
+    np.testing.assert_array_equal(short.follows.places, [[1, 0], [2, 0.5]])
+
+
+@pytest.mark.parametrize(
+    ("places", "line", "column", "given"),
+    [
+        (["x,z", "1,2"], 1, "y", "the columns 'x,z'"),
+        (["1,2", "3,4,5"], 2, "", "3 fields"),
+        (["x,y", "1,2", "3,1e7"], 3, "y", "'1e7'"),
+        (["x,y", "1,inf", "3,1"], 2, "y", "'inf'"),
+        (["x,y", "1,2", "1.0005,2"], 2, "path", "'way.csv', one place"),
+        (["x,y"], 2, "path", "'way.csv', a header alone"),
+        ([], 2, "path", "'way.csv', an empty file"),
+    ],
+)
+def test_bad_path_is_refused_with_its_line(tmp_path, places, line, column, given) -> None:
+    with pytest.raises(ScenarioFileError) as caught:
+        read_scenarios(with_path(tmp_path, "way.csv", *places))
+    named = "scenarios.csv" if column == "path" else "way.csv"
+    assert str(caught.value).startswith(f"{tmp_path / named}, line {line}")
+    assert caught.value.column == column and caught.value.given.startswith(given)
+
+
+def test_path_that_cannot_be_read_is_an_error_of_its_scenario(tmp_path, monkeypatch) -> None:
+    for text in ("none.csv", "/dev/zero", "."):
+        error = error_of(with_path(tmp_path, text, "0,0", "1,0"))
+        assert (error.line, error.column) == (2, "path") and error.given.startswith(repr(text))
+    monkeypatch.setattr(csv_file, "MOST_FIELDS", 3 * 14)
+    with pytest.raises(ScenarioFileError, match=r"way\.csv, line 22: given more than 42 fields"):
+        read_scenarios(with_path(tmp_path, "way.csv", *["0,0", "1,0"] * 12))
+    header = HEADER + ",path,path_speed"
+    for cells, column in ((",,-1", "path_speed"), (",,fast", "path_speed")):
+        assert error_of(write(tmp_path, header, ROW + cells)).column == column
+    without = HEADER.replace(",goal_x", "") + ",path"
+    assert error_of(write(tmp_path, without, ROW[:-2] + ",")).column == "goal_x"
+
+
 def test_what_is_no_file_is_refused_unread(tmp_path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path, expected in (
-        (tmp_path / "none.csv", "no such file or directory"), (tmp_path, "a directory"),
+        (tmp_path / "none.csv", "no such file or directory"), (tmp_path, "a folder"),
         (tmp_path / "pipe", "a pipe"), (Path("/dev/zero"), "a device"),
     ):
         assert error_of(path).given == expected

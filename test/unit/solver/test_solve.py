@@ -265,7 +265,8 @@ def test_error_vanishes_where_it_weighs_enough(kind: str) -> None:
     )
     found = solve_compiled(problem, guess.inputs[1:], max_iterations=400, decrease_floor=1e-6)
     duration = found.stretch * float(np.sum(problem.durations))
-    assert found.cost - duration < 1e-4
+    effort = problem.effort(found.inputs, found.stretch)
+    assert found.cost - duration - effort < 1e-4
     end = found.states[-1]
     there = goal[POSITION] + duration * problem.goal_velocity
     np.testing.assert_allclose(end[POSITION], there, atol=1e-5)
@@ -278,9 +279,17 @@ def test_error_vanishes_where_it_weighs_enough(kind: str) -> None:
         np.testing.assert_allclose(found.inputs[-1], aim_of(problem) + held, atol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["minimum time", "at speed", "free end"])
-def test_duration_is_that_of_a_general_solver(kind: str) -> None:
-    problem = make_problem(kind, 3, intervals=8, unequal=False, input_in_force=np.zeros(2))
+@pytest.mark.parametrize(
+    ("kind", "changes"),
+    [("minimum time", {}), ("at speed", {}), ("free end", {}), ("effort", {}),
+     ("effort", {"least_duration": 0.0})],
+)
+def test_duration_and_effort_are_those_of_a_general_solver(
+    kind: str, changes: dict[str, float]
+) -> None:
+    problem = make_problem(
+        kind, 3, intervals=8, unequal=False, input_in_force=np.zeros(2), **changes
+    )
     ours = solve_compiled(problem, random_start(problem), max_iterations=300, decrease_floor=1e-8)
     duration, size = float(np.sum(problem.durations)), 2 * problem.intervals
     reach = problem.max_acceleration / problem.input_scale * np.repeat(problem.durations, 2)
@@ -301,13 +310,22 @@ def test_duration_is_that_of_a_general_solver(kind: str) -> None:
           for sign in (-1.0, 1.0)),
     ]
     edges = [knots.ravel() / problem.input_scale for knots in bounds_of(problem)]
+    shortest = max(0.1, problem.least_duration / duration)
+    weights = problem.effort_weight * np.repeat(problem.durations, 2) / reach**2
+
+    def effort(x: Vector) -> float:
+        return float(weights @ (differences @ x[:-1]) ** 2) / x[-1]
+
     start = np.append(ours.inputs[1:].ravel() / problem.input_scale, ours.stretch)
     rng = np.random.default_rng(0)
     for _ in range(3):
         right = minimize(
-            lambda x: duration * x[-1], start + 0.02 * rng.normal(size=start.size),
-            jac=lambda x: np.append(np.zeros(size), duration),
-            bounds=[*zip(*edges, strict=True), (0.1, 10.0)], constraints=limits,
+            lambda x: duration * x[-1] + effort(x), start + 0.02 * rng.normal(size=start.size),
+            jac=lambda x: np.append(
+                2.0 / x[-1] * differences.T @ (weights * (differences @ x[:-1])),
+                duration - effort(x) / x[-1],
+            ),
+            bounds=[*zip(*edges, strict=True), (shortest, 10.0)], constraints=limits,
             method="SLSQP", options={"maxiter": 300, "ftol": 1e-10},
         )
         assert right.success

@@ -12,15 +12,21 @@ import import_graph
 import numpy as np
 import pytest
 
+from sphere_nmpc.model.goal import Orientation
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import ResultFolderError
-from sphere_sim.scenario.csv_file import STATE_COLUMNS, read_scenarios
-from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.scenario.csv_file import START_COLUMNS, STATE_COLUMNS, read_scenarios
+from sphere_sim.scenario.scenarios import GivenPath, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.figure import FIGURES
 from sphere_sim.study.journal import _OF_RUNS, NAME, Journal, fingerprint
 from sphere_sim.study.motion import Motion
-from sphere_sim.study.record import PUSH_RESULT_COLUMNS, RESULT_COLUMNS, RunRecord
+from sphere_sim.study.record import (
+    PATH_RESULT_COLUMNS,
+    PUSH_RESULT_COLUMNS,
+    RESULT_COLUMNS,
+    RunRecord,
+)
 from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.study import Study
 from sphere_sim.study.workers import Workers
@@ -95,6 +101,33 @@ def test_pushes_and_disturbances_are_columns_that_can_be_run_again(tmp_path) -> 
     assert list(rows(tmp_path / "second")[0]) == columns
     summary = json.loads((tmp_path / "first" / "summary.json").read_text())
     assert summary["recover_s"]["count"] == 1
+
+
+def test_path_and_its_speed_are_columns_that_can_be_run_again(tmp_path) -> None:
+    (tmp_path / "in").mkdir()
+    places = np.array([(0.0, 0.0), (0.004, 0.0), (0.0, 0.0)])
+    (tmp_path / "in" / "way.csv").write_text("\n".join(f"{x},{y}" for x, y in places))
+    cells = "0,0,1,0,0,0,in/way.csv"
+    (tmp_path / "cases.csv").write_text(f"{','.join(START_COLUMNS)},path,path_speed\n{cells},0.3")
+    scenarios = [*read_scenarios(tmp_path / "cases.csv"), SCENARIOS[2]]
+    known = []
+    make(tmp_path / "out", lambda motions: known.extend(motions) or [0.5], scenarios=scenarios)
+    assert [motion.orientation for motion in known] == [Orientation.FULL]
+    found, other = rows(tmp_path / "out")
+    assert [*found][-3:] == list(PATH_RESULT_COLUMNS)
+    assert (found["path"], found["path_speed"]) == ("../in/way.csv", "0.3")
+    assert [found[name] for name in ("goal_x", "goal_qz", "bound_s", "lower_bound_s")] == [""] * 4
+    assert found["path_max_m"] and found["crash"] == ""
+    assert [other[name] for name in ("path", "path_speed", *PATH_RESULT_COLUMNS)] == [""] * 5
+    again = read_scenarios(tmp_path / "out" / "runs.csv")
+    other_way = replace(again[0], follows=GivenPath(places[:2], tmp_path))
+    digests = [fingerprint(SHORT, [one])["scenarios"] for one in (again[0], other_way)]
+    assert digests[0] != digests[1]
+    make(tmp_path / "again", scenarios=again)
+    first, second = repeatable(tmp_path / "out"), repeatable(tmp_path / "again")
+    assert first[0] == second[0]
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["path_max_m"]["count"] == 1
 
 
 def test_stopped_study_continues_with_the_same_results(done, tmp_path) -> None:

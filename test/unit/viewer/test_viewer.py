@@ -30,6 +30,7 @@ from sphere_sim.viewer.source import (
     Pause,
     SendGoal,
     SetGoal,
+    SetPath,
     SetSpeed,
     SetStrategy,
 )
@@ -91,6 +92,26 @@ def test_goal_is_sent_at_the_end_of_a_drag(show, viewer, script) -> None:
     show(at(1.0, 2.0))
     assert gizmo._label.text == "goal, not in force", "it was cancelled"
     assert state_error(gizmo.goal, in_force) < 1e-9
+
+
+def test_path_is_sent_when_its_drawing_ends_and_the_one_in_force_is_shown(
+    show, viewer, script
+) -> None:
+    line = viewer._scene._ground._followed
+    show(at(0.0, 0.0, path=np.array([[0.0, 0.0], [1.0, 0.0]])))
+    assert line.visible and line.points.shape == (1, 2, 3)
+    for place, phase in (((1.0, 0.0), "start"), ((1.02, 0.0), ""), (None, ""), ((2.0, 1.0), ""),
+                         ((3.0, 1.0), "")):
+        viewer._draw(place, phase)
+    viewer.tick()
+    assert script.requests == [] and line.points.shape == (2, 2, 3)
+    viewer._draw(None, "end")
+    viewer.tick()
+    assert script.requests == [SetPath(((1.0, 0.0), (2.0, 1.0), (3.0, 1.0)))]
+    progress = GoalReport("1.0", 0, 1, time_left=4.0, distance_left=2.5, deviation=-0.012)
+    show(at(0.0, 0.0, progress=progress))
+    assert not line.visible
+    assert "<b>2.50 m</b> of path, <b>-12 mm</b> off it<" in viewer._panel._numbers.content
 
 
 def test_goal_is_drawn_without_what_it_leaves_free(show, viewer) -> None:

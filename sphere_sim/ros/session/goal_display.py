@@ -26,14 +26,21 @@ class GoalDisplay(LiveDisplay):
         self._report = GoalReport()
         self._way = Way()
         self.largest_deviation = math.nan
-        """Largest distance from a path in the reports [m]; nan where none was followed."""
+        """Largest distance from a path in the reports [m], once the sphere has rolled there from
+        beside it; nan where none was followed."""
+        self._joins = True
 
     def update(self, report: GoalReport) -> None:
         """Show a report, unless it is about no goal."""
         if report.count:
             self._report = report
             self._way.add(report)
-            self.largest_deviation = np.fmax(self.largest_deviation, abs(report.deviation))
+            off = abs(report.deviation)
+            if self._joins and off < self.largest_deviation:
+                self.largest_deviation = off
+            else:
+                self._joins = self._joins and not off > self.largest_deviation
+                self.largest_deviation = np.fmax(self.largest_deviation, off)
             self.show(self._picture, self._line, report.is_at_goal)
 
     def _picture(self) -> Table:

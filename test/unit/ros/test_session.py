@@ -68,9 +68,10 @@ def test_path_is_read_from_a_file_and_its_deviation_is_shown(tmp_path, capsys) -
     from sphere_sim.ros.session.goal_display import GoalDisplay
 
     with GoalDisplay() as display:
-        for deviation in (0.004, -0.0125, math.nan):
+        # From beside the path, and along it.
+        for deviation in (3.0, 0.5, math.nan, 0.004, -0.0125, 0.003, math.nan):
             display.update(GoalReport("1.0", 0, 1, "m", time_left=1.0, deviation=deviation))
-    assert capsys.readouterr().err == "     – m,   1.0 s left,   4.0 mm off the path, m\n"
+    assert capsys.readouterr().err == "     – m,   1.0 s left, 3000.0 mm off the path, m\n"
     assert display.largest_deviation == 0.0125
 
 

@@ -60,7 +60,7 @@ class CourseInForce:
         for which it is given.
         """
         known, course = self.active, given.course
-        if time is not None and len(course.legs) == 1 and not course.paths:
+        if time is not None and len(course.legs) == 1 and course.legs[0].follows is None:
             goal, is_other = self._motion.update(time, given.goal)
             if known is not None and not is_other:
                 self.active = replace(given, course=known.course.aimed(0, goal))
@@ -68,7 +68,7 @@ class CourseInForce:
         else:
             self._motion = GoalMotion()
         is_new = known is None or not known.course.is_listed_in(course)
-        may_repeat = known is not None and (known.index > 0 or bool(course.paths))
+        may_repeat = known is not None and (known.index > 0 or known.leg.follows is not None)
         if known is not None and not (is_new or (may_repeat and is_at_its_end)):
             self.active = replace(known, stamp=given.stamp)
             return False

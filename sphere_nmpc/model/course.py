@@ -7,14 +7,12 @@ A course is made once, where goals come in; from then on it is compared by ident
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-
-import numpy as np
+from functools import cached_property
+from operator import attrgetter
 
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path
-
-_ANY = (1.0, 0.0, 0.0, 0.0)
-"""Orientation of a goal that demands none."""
+from sphere_nmpc.model.state import upright_state
 
 
 class LegEnd(Enum):
@@ -68,13 +66,10 @@ class Course:
         One or more.
     origin : object
         The same object for a course whose goals have moved since it was made.
-    paths : tuple of Path
-        The paths that its legs follow.
     """
 
     legs: tuple[Leg, ...]
     origin: object = field(default_factory=object, repr=False)
-    paths: tuple[Path, ...] = ()
 
     @classmethod
     def of(cls, *goals: Goal) -> "Course":
@@ -86,11 +81,17 @@ class Course:
     @classmethod
     def along(cls, *paths: Path, end: Goal | None = None) -> "Course":
         """Return a new course along paths, with any orientation, and to a goal after the last."""
+        ends = [upright_state(*path.places[-1].tolist()) for path in paths]
         legs = [
-            Leg(Goal(np.concatenate((path.places[-1], _ANY)), Orientation.ANY), follows=path)
-            for path in paths
+            Leg(Goal(pose, Orientation.ANY), follows=path)
+            for pose, path in zip(ends, paths, strict=True)
         ]
-        return cls((*legs, *(() if end is None else (Leg(end),))), paths=paths)
+        return cls((*legs, *(() if end is None else (Leg(end),))))
+
+    @cached_property
+    def paths(self) -> tuple[Path, ...]:
+        """The paths that its legs follow."""
+        return tuple(filter(None, map(attrgetter("follows"), self.legs)))
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -101,11 +102,11 @@ class Course:
         """Return the same course with another goal at the end of a leg, as when it has moved."""
         legs = self.legs
         leg = replace(legs[index], goal=goal)
-        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin, self.paths)
+        return Course((*legs[:index], leg, *legs[index + 1 :]), self.origin)
 
     def by_way_of(self, index: int, leg: Leg) -> "Course":
         """Return the same course with a leg put in front of the one with this index."""
-        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin, self.paths)
+        return Course((*self.legs[:index], leg, *self.legs[index:]), self.origin)
 
     def is_listed_in(self, other: "Course") -> bool:
         """Return whether another course has the same legs in the same order."""

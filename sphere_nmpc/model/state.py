@@ -78,7 +78,7 @@ def as_state(values: ArrayLike) -> Vector:
     return make_state(flat[POSITION], flat[QUATERNION])
 
 
-def upright_state(x: float, y: float, yaw: float) -> Vector:
+def upright_state(x: float, y: float, yaw: float = 0.0) -> Vector:
     """Return the state, shape (6,), of an upright sphere at x, y [m] with a heading [rad]."""
     return make_state((x, y), (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)))
 

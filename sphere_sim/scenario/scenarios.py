@@ -19,7 +19,14 @@ from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import DEFAULT_START, POSITION, Vector, as_state, make_state
+from sphere_nmpc.model.state import (
+    DEFAULT_START,
+    POSITION,
+    Vector,
+    as_state,
+    make_state,
+    upright_state,
+)
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 if TYPE_CHECKING:
@@ -43,7 +50,7 @@ class GivenPath:
     @property
     def end(self) -> Vector:
         """The last place as a state, shape (6,); any orientation will do."""
-        return make_state(self.places[-1], (1.0, 0.0, 0.0, 0.0))
+        return upright_state(*self.places[-1].tolist())
 
 
 @dataclass(frozen=True, eq=False)

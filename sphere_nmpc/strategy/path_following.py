@@ -116,9 +116,8 @@ class PathFollowing:
     def _along(self, path: Path, situation: Situation) -> Plan:
         """Return the plan along the path."""
         units, period = self._settings.units, self._settings.control_period
-        pace = self._pace(situation)
-        problem = self._problem(path, situation, pace)
-        best = along_path(problem)
+        problem = self._problem(path, situation)
+        best, pace = along_path(problem), problem.limits.pace
 
         def cost(motion: PathMotion) -> float:
             return float(motion.times[-1] + (problem.last - motion.ways[-1]) / pace)
@@ -138,23 +137,15 @@ class PathFollowing:
             return plan
         return self._up_to_obstacle(path, situation, replace(problem, turn=self._turn))
 
-    def _pace(self, situation: Situation) -> float:
-        """Return the speed of the centre [m/s] that is not exceeded."""
-        robot, radius = self._robot, situation.constants.shell_radius
-        largest = SteadyRolling.of(situation.constants, robot.max_rotor_speed).speed
-        ramp = robot.max_rotor_speed / min(
-            robot.max_rotor_acceleration, situation.plant.acceleration
-        )
-        return min(self._settings.path_speed or largest, largest, _FASTEST * radius / ramp)
-
-    def _problem(self, path: Path, situation: Situation, pace: float) -> PathProblem:
+    def _problem(self, path: Path, situation: Situation) -> PathProblem:
         """Return the motion that is sought, without what holds the momentum."""
-        robot, units = self._robot, self._settings.units
+        robot, units, largest = self._robot, self._settings.units, self._robot.max_rotor_speed
+        acceleration = min(robot.max_rotor_acceleration, situation.plant.acceleration)
+        steady = SteadyRolling.of(situation.constants, largest).speed
+        followed = _FASTEST * situation.constants.shell_radius / (largest / acceleration)
+        pace = min(self._settings.path_speed or steady, steady, followed)
         held = float(np.linalg.norm(situation.momentum))
-        limits = PathLimits(
-            max(robot.max_rotor_speed - held, 0.1 * robot.max_rotor_speed),
-            min(robot.max_rotor_acceleration, situation.plant.acceleration), pace,
-        )
+        limits = PathLimits(max(largest - held, 0.1 * largest), acceleration, pace)
         speeds = situation.speeds
         if held:
             speeds = speeds - rest_speeds(situation.momentum, situation.state[QUATERNION])
@@ -205,19 +196,19 @@ class PathFollowing:
         """Return the plan up to where the path leads too near to what is occupied."""
         needed = needed_distance(situation, Margin.KEPT)
         ahead = path.places[int(self.way / path.spacing) :]
-        free = np.flatnonzero(situation.floor.distances(ahead) < needed)
-        near = self.way + path.spacing * float(free[0]) if free.size else problem.last
+        blocked = np.flatnonzero(situation.floor.distances(ahead) < needed)
+        near = self.way + path.spacing * float(blocked[0]) if blocked.size else problem.last
         reason = (
             f"the path: {near:.2f} m from its start it leads nearer than {needed:.3g} m to what "
             "is occupied"
         )
         for share in (1.0, 0.9, 0.7, 0.4, 0.2, 0.1):
             last = self.way + share * (min(near, problem.last) - self.way)
-            motion = along_path(replace(problem, last=last))
-            plan = self._plan(path, situation, motion)
-            is_ahead = last > self.way + path.spacing
-            if is_ahead and is_clear(situation, plan.hold, Margin.KEPT):
-                return plan.giving_up(reason) if free.size else plan
+            if last <= self.way + path.spacing:
+                break
+            plan = self._plan(path, situation, along_path(replace(problem, last=last)))
+            if is_clear(situation, plan.hold, Margin.KEPT):
+                return plan.giving_up(reason) if blocked.size else plan
         return stop(situation, self._robot, "the path is blocked").giving_up(reason)
 
 

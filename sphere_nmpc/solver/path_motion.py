@@ -45,7 +45,7 @@ class PathLimits(NamedTuple):
     speed, acceleration : float
         Of the rotors [rad/s, rad/s^2].
     pace : float
-        Of the centre [m/s]; 0 for none.
+        Of the centre [m/s].
     """
 
     speed: float
@@ -201,10 +201,10 @@ def _fastest(problem: PathProblem, taus: Vector, laws: Vector) -> tuple[Vector, 
     """Return the largest rates and the times of a nominal motion."""
     limits, radius, count = problem.limits, float(problem.constants[0]), len(taus)
     speeds, steps = laws[:, :2], np.diff(taus)
-    most = limits.speed / np.maximum(np.max(np.abs(speeds), axis=1), 1e-6)
-    if limits.pace > 0.0:
-        most = np.minimum(most, limits.pace / (radius * np.maximum(laws[:, 3], 1e-9)))
-    squares = most**2
+    squares = np.minimum(
+        limits.speed / np.maximum(np.max(np.abs(speeds), axis=1), 1e-6),
+        limits.pace / (radius * np.maximum(laws[:, 3], 1e-9)),
+    ) ** 2
     squares[-1] = 0.0
     a, b = 3.0 * speeds[1:] - speeds[:-1], 3.0 * speeds[:-1] - speeds[1:]
     a, b = np.abs(a), np.where(a < 0.0, -b, b)

@@ -15,21 +15,20 @@ typedef struct {
 
 typedef struct {
     int64_t rows;
-    double spacing, tolerance, turn;
+    double spacing, length, tolerance, turn;
     const double *curve, *constants;
 } path_course;
 
 static void law_at(const path_course *c, double way, const double *pose, double *law)
 {
-    const double length = c->spacing * (double)(c->rows - 1);
     const double share = clip(way / c->spacing, 0.0, (double)(c->rows - 1));
     const int64_t index = share < (double)(c->rows - 2) ? (int64_t)share : c->rows - 2;
     const double rest = share - (double)index, *row = c->curve + 4 * index;
-    const double demand[3] = {c->turn, way < length, c->tolerance};
+    const double given[3] = {c->turn, way < c->length, c->tolerance};
     double point[4];
     for (int k = 0; k < 4; k++)
         point[k] = (1.0 - rest) * row[k] + rest * row[4 + k];
-    path_law(pose + 2, pose, point, demand, c->constants, law);
+    path_law(pose + 2, pose, point, given, c->constants, law);
 }
 
 static void path_pose(const path_course *c, const double *pose, const double *from,
@@ -45,7 +44,7 @@ static void path_pose(const path_course *c, const double *pose, const double *fr
 static int64_t nominal_motion(const path_course *c, const double *start, double way, double last,
                               int64_t capacity, path_step *steps)
 {
-    const double length = c->spacing * (double)(c->rows - 1), radius = c->constants[0];
+    const double length = c->length, radius = c->constants[0];
     const double *end = c->curve + 4 * (c->rows - 1), change = PATH_CHANGE / c->constants[1];
     double pose[6], law[5], next[5], bend[2] = {0.0, 0.0}, step = PATH_STEP;
     int64_t count = 0;
@@ -117,7 +116,7 @@ static void coupling(const path_step *from, const path_step *to, double *a, doub
 }
 
 /* Fastest squared rates, and the times, of steps within limits [speed, acceleration, speed of the
- * centre or 0] from a rate, to rest. */
+ * centre] from a rate, to rest. */
 static void fastest(path_step *steps, int64_t count, const double *limits, double radius,
                     double rate)
 {
@@ -125,9 +124,8 @@ static void fastest(path_step *steps, int64_t count, const double *limits, doubl
     for (int64_t k = 0; k < count; k++) {
         path_step *here = steps + k;
         const double largest = fmax(fabs(here->speeds[0]), fabs(here->speeds[1]));
-        double most = limits[0] / fmax(largest, 1e-6);
-        if (limits[2] > 0.0)
-            most = fmin(most, limits[2] / (radius * fmax(here->speed, 1e-9)));
+        const double most = fmin(limits[0] / fmax(largest, 1e-6),
+                                 limits[2] / (radius * fmax(here->speed, 1e-9)));
         here->squared_rate = k == count - 1 ? 0.0 : most * most;
     }
     for (int64_t k = count - 2; k >= 0; k--) {
@@ -169,13 +167,14 @@ static int is_straight(const path_step *first, const path_step *last, double gai
 }
 
 /* Write the knots [time, u_1, u_2, way, jump] of the fastest motion along a path; returns
- * their number. `limits` are [speed, acceleration, speed of the centre or 0]. */
+ * their number. `limits` are [speed, acceleration, speed of the centre]. */
 int64_t hold_along_path(int64_t rows, double spacing, double tolerance, double turn, double way,
                         double last, const double *curve, const double *constants,
                         const double *limits, const double *pose, const double *speeds,
                         int64_t capacity, path_step *steps, double *knots)
 {
-    const path_course course = {rows, spacing, tolerance, turn, curve, constants};
+    const double length = spacing * (double)(rows - 1);
+    const path_course course = {rows, spacing, length, tolerance, turn, curve, constants};
     const int64_t count = nominal_motion(&course, pose, way, last, capacity, steps);
     const double *first = steps[0].speeds;
     const double square = fmax(first[0] * first[0] + first[1] * first[1], 1e-12);

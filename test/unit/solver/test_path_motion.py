@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Law along paths against the model, and fastest motions by it, compiled and plain."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -27,7 +28,7 @@ _X, _U = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
 RATE = ca.Function("rate", [_X, _U], [state_rate(_X, _U, ca.DM(CONSTANTS))])
 LATITUDES = (-1.3, -0.8, 0.9, 1.2)
 """Of the contact point [rad], where the spin is weighed by less than exp(-16)."""
-FAST = PathLimits(100.0, 400.0, 0.0)
+FAST = PathLimits(100.0, 400.0, math.inf)
 PACED, WEAK = FAST._replace(pace=0.3), PathLimits(60.0, 150.0, 0.5)
 STEADY = 0.742
 """Speed of steady rolling [m/s]."""
@@ -152,7 +153,7 @@ def test_compiled_motion_is_the_plain_one_within_its_limits(shape, limits, other
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("limits", [FAST, PACED], ids=["fast", "paced"])
 def test_motion_follows_the_path_at_its_pace_through_gamma(shape, limits) -> None:
-    found, steady = [], limits.pace or STEADY
+    found, steady = [], min(limits.pace, STEADY)
     for seed in range(12):
         given = problem(shape, seed, limits)
         times, places = trace(given)
@@ -166,7 +167,7 @@ def test_motion_follows_the_path_at_its_pace_through_gamma(shape, limits) -> Non
     (soon, whole, slower), largest = np.median(found, axis=0), np.max(found, axis=0)
     assert soon < 1.5e-3 and largest[0] < 0.01 and whole < TOLERANCE
     # The box of two rotors alone costs 1.27; a corner of a short path is passed slower.
-    most = (1.06 if limits.pace else 1.45) + (0.1 if shape == "corner" else 0.0)
+    most = (1.06 if limits is PACED else 1.45) + (0.1 if shape == "corner" else 0.0)
     assert 1.0 < slower < most
 
 
@@ -184,10 +185,10 @@ def test_path_of_the_centre_does_not_depend_on_the_pace() -> None:
     for seed in range(4):
         given = problem("circle", seed)
         times, places = trace(given)
-        slow_times, slow = trace(replace(given, limits=PathLimits(50.0, 100.0, 0.0)))
+        slow_times, slow = trace(replace(given, limits=PathLimits(50.0, 100.0, math.inf)))
         same = [np.interp(2.0 * times, slow_times, slow[:, axis]) for axis in (0, 1)]
         np.testing.assert_allclose(np.column_stack(same), places, atol=1e-4)  # of chords, 10 ms
         # Other knots, as it accelerates relatively faster; samples are up to 7.5 mm apart.
-        _, other = trace(replace(given, limits=PathLimits(50.0, 200.0, 0.0)))
+        _, other = trace(replace(given, limits=PathLimits(50.0, 200.0, math.inf)))
         apart = np.linalg.norm(other[:, None] - places, axis=2)
         assert np.max(np.min(apart, axis=1)) < 6e-3

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 from rich.progress import track
 
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.state import without_momentum
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.best_known import best_known_time
 from sphere_sim.study.conditions import StudyConditions

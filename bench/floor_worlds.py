@@ -18,11 +18,11 @@ import numpy as np
 from node_runs import machine, write_json
 from worlds import KINDS, SIDE, SPEED, draw_task, draw_world, integrated, longest_run
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.process.library_threads import limit_library_threads
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import state_errors, stay_below
 from sphere_sim.scenario.perturbation import perturbed

@@ -17,12 +17,12 @@ import numpy as np
 from node_runs import machine, write_json
 from rich.progress import track
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, without_momentum
+from sphere_nmpc.process.library_threads import limit_library_threads
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import settling_index, state_errors

@@ -26,9 +26,9 @@ import numpy as np
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors

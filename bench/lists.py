@@ -23,11 +23,11 @@ from node_runs import machine, write_json
 from worlds import draw_poses, draw_world, longest_run
 
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, position_error
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors, stay_below
 from sphere_sim.scenario.scenarios import Scenario, anywhere

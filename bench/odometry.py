@@ -36,9 +36,9 @@ from odometry_drives import (
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation.odometry import Odometry
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
 from sphere_sim.evaluation.odometry_poses import OdometryPoses

@@ -28,12 +28,12 @@ from tables import header, in_processes, row
 from worlds import SPEED, integrated
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path as Curve
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector, make_state
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import deviations, errors_to, measure_along, stay_below
 from sphere_sim.scenario.perturbation import perturbed

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from node_runs import machine, write_json
 
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import without_momentum
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios

@@ -38,11 +38,11 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
-from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.foreign_file import InvalidFileError, find_file
+from sphere_nmpc.foreign.file import InvalidFileError, find_file
 from sphere_nmpc.model.state import upright_state
+from sphere_nmpc.process.child import module_command
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import STRATEGIES

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
-from sphere_nmpc.entry_table import Entry, EntryTable
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign.entry_table import Entry, EntryTable
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP, TABLE_1_UNITS, RobotUnits
 from sphere_nmpc.quantity import quantity, validate

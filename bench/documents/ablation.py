@@ -32,9 +32,9 @@ from tables import header, in_processes, row
 from sphere_nmpc.control import planner
 from sphere_nmpc.estimation import estimator
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy

@@ -17,10 +17,10 @@ import numpy as np
 from tables import header, in_processes, row
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, make_state
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.metrics import position_errors, state_errors
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario, draw_scenarios

@@ -9,7 +9,6 @@ from typing import cast
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.keeping_clear import clear_command, clear_plan, stop_if_refused
@@ -42,6 +41,7 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.model.torque import heat_and_energy, torques, within_torque
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.strategy.contract import Situation, Strategy

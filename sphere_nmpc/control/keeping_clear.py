@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus

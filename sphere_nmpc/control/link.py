@@ -11,7 +11,6 @@ from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.recent import RECENT, Recent
 from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.posterior import SHARE_STEP
@@ -20,6 +19,7 @@ from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import Condition, Kind
 
 REACH = 3.0
 """Time after which a command that is not renewed stops [s]."""

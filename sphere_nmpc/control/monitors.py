@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.pose_stream import SAME_POSE
 from sphere_nmpc.model.disturbance import (
@@ -28,6 +27,7 @@ from sphere_nmpc.model.state import (
     position_error,
     state_error,
 )
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 

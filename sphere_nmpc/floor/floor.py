@@ -17,9 +17,9 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.channel import SharedMemory
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.channel import SharedMemory
 
 _CELL = 1.0 / 24.0
 """Largest side of a cell [Rs] to which a map is refined: in the middle of it the bound is below

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.errors import shown
 from sphere_nmpc.floor.occupancy import (
     MOST_CELLS,
     Grid,
@@ -19,8 +20,7 @@ from sphere_nmpc.floor.occupancy import (
     check_geometry,
     grid_of_values,
 )
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file, yaml_texts
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.foreign.file import InvalidFileError, find_file, read_file, yaml_texts
 
 _MOST_TEXT = 16_384
 """Bytes of the YAML file, which mostly has 150."""

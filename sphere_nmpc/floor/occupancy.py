@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.model.state import FARTHEST, Vector
 from sphere_nmpc.quantity import counted
 

@@ -9,7 +9,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from sphere_nmpc.conditions import Severity
+from sphere_nmpc.reporting.conditions import Severity
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.messages import stamp_to_ros
 

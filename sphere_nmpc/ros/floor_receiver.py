@@ -15,16 +15,15 @@ from geometry_msgs.msg import PolygonInstanceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.errors import Description, InvalidParameterError, SphereNmpcError
 from sphere_nmpc.floor.change_queue import ChangeQueue, Request
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import MOST_AREAS, Layers
 from sphere_nmpc.floor.map_file import read_map
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.cdr import floor_message
 from sphere_nmpc.ros.floor_messages import (
     LARGEST_KEEPOUT,

@@ -16,9 +16,9 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.conditions import Condition, Kind, worst_first
-from sphere_nmpc.fault_log import FaultLog, LastingFaults
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import shown
+from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
+from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.ros.network import network_addresses, reaches_other_machines
 
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -25,9 +25,14 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
-from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError, reason_of
-from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import (
+    Description,
+    InvalidInputError,
+    InvalidValueError,
+    SphereNmpcError,
+    reason_of,
+)
+from sphere_nmpc.reporting.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.ros.cdr import clock_stamp
 from sphere_nmpc.ros.messages import message_object
 from sphere_nmpc.ros.parameters import Parameters

@@ -11,8 +11,8 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.graph_monitor import (
     CLOCK_EFFECT,
     POSE_EFFECT,

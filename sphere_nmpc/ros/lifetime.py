@@ -20,10 +20,9 @@ from pathlib import Path
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 
-from sphere_nmpc.child import END_SIGNALS, NICENESS
-from sphere_nmpc.errors import EndingError, SphereNmpcError
-from sphere_nmpc.foreign_code import allow_calls, end_calls, is_called, on_signal
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import EndingError, SphereNmpcError, shown
+from sphere_nmpc.foreign.code import allow_calls, end_calls, is_called, on_signal
+from sphere_nmpc.process.child import END_SIGNALS, NICENESS
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.network import network_reach
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments

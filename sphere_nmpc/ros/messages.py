@@ -15,8 +15,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 
-from sphere_nmpc.errors import InvalidInputError, InvalidStateError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidInputError, InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import (

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.solver.half_motions import Side
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.solver.roll_out import roll_out

@@ -10,16 +10,16 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import (
     ForeignCodeError,
     InvalidParameterError,
     SphereNmpcError,
+    printable_line,
     reason_of,
+    shown,
 )
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.foreign_code import called
-from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.foreign.code import called
 from sphere_nmpc.model.course import Course, Leg, LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import place_deviation, state_deviation
@@ -28,6 +28,7 @@ from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, STATE_SIZE, Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker

@@ -19,7 +19,6 @@ from typing import cast
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import Course, LegEnd
 from sphere_nmpc.model.disturbance import after_slope, is_zero, rest_speeds
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -27,6 +26,7 @@ from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, without_momentum
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.path_motion import PathLimits, PathMotion, PathProblem, along_path
 from sphere_nmpc.solver.roll_out import roll_out

@@ -8,13 +8,13 @@ from enum import Enum
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import Leg
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.solver.roll_out import roll_out
 
 _NOWHERE = Leg(Goal(np.full(6, np.nan), since=math.nan))

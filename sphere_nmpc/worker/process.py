@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import Child, module_command
+from sphere_nmpc.process.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.process.child import Child, module_command
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
 _MOST_PENDING = 8

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.errors import InvalidInputError, printable_line, shown
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.mounting import FixedFrames
 from sphere_nmpc.estimation.odometry import Odometry
-from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS, counted, quantities

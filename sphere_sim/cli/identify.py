@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from sphere_nmpc.errors import printable_line
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.foreign_text import printable_line
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.identification.bag import read_recorded

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 from sphere_sim.output.files import prepare_folder, printable
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run_reader import read_run

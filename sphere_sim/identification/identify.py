@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.errors import Description, InvalidInputError, InvalidParameterError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector

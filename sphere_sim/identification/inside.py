@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
-from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector

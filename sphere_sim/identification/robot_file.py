@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, open_file
+from sphere_nmpc.foreign.file import InvalidFileError, find_file, open_file
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import quantities

@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.model.state import Vector
 
 _REST = 0.5

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.foreign_file import InvalidFileError, open_file, read_file, yaml_texts
-from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.errors import SphereNmpcError, printable_line, shown
+from sphere_nmpc.foreign.file import InvalidFileError, open_file, read_file, yaml_texts
 
 METADATA = "metadata.yaml"
 PARAMETERS_PREFIX = "parameters:"

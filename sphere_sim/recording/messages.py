@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.foreign_file import InvalidFileError
-from sphere_nmpc.foreign_text import cut, shown
+from sphere_nmpc.errors import cut, shown
+from sphere_nmpc.foreign.file import InvalidFileError
 from sphere_sim.recording.bag_files import METADATA, OF_ROS_1, BagError, find_files
 from sphere_sim.recording.storage_reader import StorageReader
 

@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file, yaml_texts
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidParameterError, shown
+from sphere_nmpc.foreign.file import InvalidFileError, find_file, read_file, yaml_texts
 from sphere_nmpc.quantity import parsed, quantities
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, object_of
 

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError, cut, shown
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
-from sphere_nmpc.foreign_text import cut, shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters

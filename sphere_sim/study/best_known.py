@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from sphere_nmpc.foreign.own_folder import cache_folder, own_folder
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -33,7 +34,6 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.model.torque import within_torque
-from sphere_nmpc.own_folder import cache_folder, own_folder
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from sphere_nmpc.control.goal_report import GoalReport
+from sphere_nmpc.errors import cut
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector

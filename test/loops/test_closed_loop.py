@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSE, Vector, flipped_sign, make_state, upright_state
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
@@ -23,6 +22,7 @@ from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate, PoseFilter
 from sphere_nmpc.model.disturbance import slope_torque
 from sphere_nmpc.model.state import POSE, as_state
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus

@@ -23,13 +23,13 @@ from floor_plans import (
 from given_plans import Given
 from sampled_loop import SampledLoop
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.route import route_to
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus

@@ -17,16 +17,16 @@ import pytest
 from given_plans import Given, plan_of
 from sampled_loop import ROBOT
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.foreign_code import called
+from sphere_nmpc.foreign.code import called
 from sphere_nmpc.model.course import Leg, LegEnd
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import POSITION, STATE_SIZE, upright_state
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.strategy.contract import MOST_KNOTS, Situation
 from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from sampled_loop import ROBOT, SampledLoop
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.monitors import relative_error
@@ -27,6 +26,7 @@ from sphere_nmpc.model.state import (
     upright_state,
     without_momentum,
 )
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios

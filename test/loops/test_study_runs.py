@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, make_state, upright_state
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.cli.main import main as command
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop

@@ -23,12 +23,12 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import NANOSECONDS, stamp_text
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.cdr import hold_and_stamp, joint_states_message
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.command_sender import CommandSender

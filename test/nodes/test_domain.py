@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 from patience import until
 from ros_graph import started
 
-from sphere_nmpc.child import Child
+from sphere_nmpc.process.child import Child
 from sphere_nmpc.ros.network import use_loopback_only
 from sphere_sim.ros.session import other_publishers
 from sphere_sim.ros.session.domain import own_domain

@@ -13,7 +13,7 @@ from ros_graph import running_graph, started
 from std_srvs.srv import SetBool
 from verb_process import start
 
-from sphere_nmpc.child import stop_together
+from sphere_nmpc.process.child import stop_together
 from sphere_sim.ros.session.goal_command import main
 
 pytestmark = pytest.mark.slow

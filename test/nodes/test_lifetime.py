@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.child import Child, python_command
+from sphere_nmpc.process.child import Child, python_command
 from sphere_nmpc.ros.cdr import hold_and_stamp
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments

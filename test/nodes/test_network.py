@@ -15,7 +15,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE, until
 
-from sphere_nmpc.child import Child, stop_together
+from sphere_nmpc.process.child import Child, stop_together
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.network import (

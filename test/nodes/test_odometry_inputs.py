@@ -8,10 +8,10 @@ import pytest
 from rclpy.parameter import Parameter
 from robot_at_rest import STEP, RobotAtRest, exact
 
-from sphere_nmpc.conditions import ERROR, OK
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation import mounting
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import ERROR, OK
 from sphere_nmpc.ros.odometry.node import OdometryNode
 
 AHEAD = 1000 * NANOSECONDS

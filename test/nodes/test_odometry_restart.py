@@ -8,7 +8,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from robot_at_rest import STEP, RobotAtRest
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.conditions import ERROR, OK
 from sphere_nmpc.model.state import (
     DEFAULT_START,
     Vector,
@@ -16,6 +15,7 @@ from sphere_nmpc.model.state import (
     position_error,
     upright_state,
 )
+from sphere_nmpc.reporting.conditions import ERROR, OK
 from sphere_nmpc.ros.messages import pose_to_ros
 
 PLACE = upright_state(1.2, -0.4, 0.7)

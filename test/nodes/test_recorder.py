@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from verb_process import start
 
-from sphere_nmpc.child import Child
+from sphere_nmpc.process.child import Child
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 

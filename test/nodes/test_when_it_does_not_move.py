@@ -25,8 +25,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 
+from sphere_nmpc.foreign.own_folder import cache_folder
 from sphere_nmpc.model.state import Vector, upright_state
-from sphere_nmpc.own_folder import cache_folder
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.controller.node import ControllerNode

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from ros_graph import Graph
 
-from sphere_nmpc.conditions import Severity
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import Severity
 from sphere_nmpc.ros.cdr import clock_message, imu_message, joint_states_message
 from sphere_nmpc.ros.odometry.node import OdometryNode
 

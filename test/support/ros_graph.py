@@ -20,8 +20,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from verb_process import start
 
-from sphere_nmpc.child import Child
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.process.child import Child
 from sphere_nmpc.ros.guarded_node import GuardedNode
 
 

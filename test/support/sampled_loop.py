@@ -13,7 +13,6 @@ import numpy as np
 from delayed_worker import DelayedWorker
 from motions import moved
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.estimation.pose_filter import Estimate
@@ -23,6 +22,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSE, POSITION, Vector, state_error, without_momentum
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Strategy
 from sphere_nmpc.strategy.plan import Plan

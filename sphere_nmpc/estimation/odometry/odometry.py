@@ -12,7 +12,6 @@ from bisect import bisect_left
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.given_pose import Fix
@@ -35,6 +34,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 from sphere_nmpc.model.units import RobotUnits
+from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
 
 _FASTER = 6.0
 """Standard deviations [-] by which a rate has to differ from that at rest to move the pose."""

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.given_pose import (
     LEAST_DEVIATION,
@@ -42,6 +41,7 @@ from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySe
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.reporting.conditions import Kind
 
 _CONTRADICTED = 4.0
 """Improbable squares of a force at rest [-] at which the tilt is another one."""

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.inertial_filter import SATURATED
 from sphere_nmpc.estimation.odometry.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
 
 _REPEATED = 3
 """Equal readings in a row of a sensor that is stuck: noise changes some digit of six each time."""

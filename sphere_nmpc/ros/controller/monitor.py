@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.timing import MissedSamples
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.controller.pose_source import PoseSource
 from sphere_nmpc.ros.graph_monitor import several_publishers
 from sphere_nmpc.ros.guarded_node import GuardedNode

@@ -14,16 +14,24 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
-from sphere_nmpc.conditions import ERROR, OK, WARN, Condition, Kind, Severity, worst_first
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import rotor_reserve
 from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.schedule import Schedule
-from sphere_nmpc.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.reporting.conditions import (
+    ERROR,
+    OK,
+    WARN,
+    Condition,
+    Kind,
+    Severity,
+    worst_first,
+)
+from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.ros.cdr import stamp_of
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force

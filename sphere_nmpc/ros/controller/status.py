@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
@@ -24,6 +23,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Tracking
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 
 _EVALUATED_EVERY = 0.5

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -21,6 +20,7 @@ from sphere_nmpc.model.state import (
     nearer_sign,
     state_error,
 )
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce

@@ -18,8 +18,8 @@ import time
 from dataclasses import replace
 from functools import partial
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import SATURATED, AtRest
 from sphere_nmpc.strategy.clearance import stop_before_contact

@@ -23,12 +23,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.conditions import OK, WARN, Condition, Kind, Severity
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.reporting.conditions import OK, WARN, Condition, Kind, Severity
 from sphere_nmpc.ros.cdr import Pose, fields
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver

@@ -10,7 +10,6 @@ from delayed_worker import DelayedWorker
 from given_plans import Standing
 from robots import PALM
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import ArrivalDetector, Progress, rotor_reserve
@@ -18,6 +17,7 @@ from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, make_state, state_error, without_momentum
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
@@ -36,6 +35,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.rotation import random_quaternion, vertical
 from sphere_nmpc.model.state import make_state, upright_state
+from sphere_nmpc.reporting.conditions import Kind
 from test.support.inertial_runs import IMU, ROBOT, SECOND, error_of, followed, random_run
 
 NUMBERS = OdometryNumbers()

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.inertial_state import (
@@ -30,6 +29,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.dynamics import world_rate
 from sphere_nmpc.model.state import upright_state
+from sphere_nmpc.reporting.conditions import Kind
 from test.support.inertial_runs import ROBOT, SECOND, error_of, followed, random_run
 
 DEFAULT = ImuSettings()

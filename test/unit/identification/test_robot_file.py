@@ -10,7 +10,7 @@ import yaml
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.foreign_file import InvalidFileError
+from sphere_nmpc.foreign.file import InvalidFileError
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_sim.identification.robot_file import (
     CHANGED,

@@ -8,7 +8,7 @@ import pytest
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
-from sphere_nmpc.foreign_file import InvalidFileError
+from sphere_nmpc.foreign.file import InvalidFileError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_sim.recording.node_parameters import (
     bag_parameters,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sphere_nmpc.entry_table import Entry
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign.entry_table import Entry
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import quantity
 from sphere_sim.scenario.scenarios import PAPER_CASES

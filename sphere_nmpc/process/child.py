@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.channel import Channel
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.process.channel import Channel
 
 TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 """From a terminal to all processes that run in it: Ctrl-C, Ctrl-\\ and its end."""

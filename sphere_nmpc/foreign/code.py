@@ -12,8 +12,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, TypeVar
 
-from sphere_nmpc.errors import ForeignCodeError
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import ForeignCodeError, shown
 
 T = TypeVar("T")
 

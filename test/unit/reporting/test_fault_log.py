@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from sphere_nmpc.fault_log import FaultLog, LastingFaults
-from sphere_nmpc.foreign_text import LONGEST, LONGEST_LINE, Description, printable_line, shown
+from sphere_nmpc.errors import LONGEST, LONGEST_LINE, Description, printable_line, shown
+from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 
 
 def test_numbers_of_numpy_are_shown_as_others_and_descriptions_as_they_are() -> None:

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_code import called
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import InvalidParameterError, printable_line
+from sphere_nmpc.foreign.code import called
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from unittest import mock
 
 import pytest
 
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file
-from sphere_nmpc.own_folder import cache_folder, own_folder
+from sphere_nmpc.foreign.file import InvalidFileError, find_file, read_file
+from sphere_nmpc.foreign.own_folder import cache_folder, own_folder
 from sphere_nmpc.ros.network import unwritable_log_folder
 
 

@@ -17,7 +17,7 @@ import weakref
 from collections import deque
 from typing import IO, Any, NamedTuple, NoReturn
 
-from sphere_nmpc.foreign_code import called
+from sphere_nmpc.foreign.code import called
 
 _HEADER = struct.Struct("!QQ")
 """Before each message: its length [bytes], and the number of shared memories that belong to it."""

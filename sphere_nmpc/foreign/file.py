@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sphere_nmpc.errors import InvalidValueError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidValueError
 
 _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket",
@@ -48,7 +47,7 @@ def _package_folders() -> list[Path]:
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     folders = [Path(prefix, "share", "sphere_nmpc") for prefix in prefixes if prefix]
     return [
-        folder for folder in (*folders, Path(__file__).parents[1])
+        folder for folder in (*folders, Path(__file__).parents[2])
         if (folder / "package.xml").is_file()
     ]
 

@@ -14,7 +14,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, SharedMemory, encoded
+from sphere_nmpc.process.channel import (
+    Channel,
+    ChannelEndError,
+    ContentError,
+    SharedMemory,
+    encoded,
+)
 
 ERRORS = {
     "missing": FileNotFoundError("gone"), "end": EOFError("short"),
@@ -135,7 +141,7 @@ except OSError as error: print(error.strerror)
 def test_nothing_is_left_of_memory_whose_process_is_killed_or_cannot_have_it(
     system, program, code, told, tmp_path
 ) -> None:
-    imports = "import os, resource, signal\nfrom sphere_nmpc.channel import SharedMemory\n"
+    imports = "import os, resource, signal\nfrom sphere_nmpc.process.channel import SharedMemory\n"
     done = subprocess.run(
         [sys.executable, "-c", f"{imports}{system}\n{program}"], check=False,
         env=dict(os.environ, TMPDIR=str(tmp_path)), capture_output=True, text=True,

@@ -7,9 +7,9 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from sphere_nmpc import entry_table
-from sphere_nmpc.entry_table import Entry, EntryTable
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign import entry_table
+from sphere_nmpc.foreign.entry_table import Entry, EntryTable
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry

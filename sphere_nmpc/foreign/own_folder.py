@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from sphere_nmpc.foreign_file import read_file
+from sphere_nmpc.foreign.file import read_file
 
 T = TypeVar("T")
 _MOST_BYTES = 1_000_000

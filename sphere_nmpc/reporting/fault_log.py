@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 
 _PERIOD = 5.0
 """Shortest wall time between two lines about one kind of fault; one that comes and goes counts as

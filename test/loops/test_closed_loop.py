@@ -308,7 +308,7 @@ def test_speeds_of_rotors_that_do_not_turn_are_believed() -> None:
     loop.commands = Wire(0, 0.0, loss=1.0, bursts=())
     while loop.time < 1.0:
         loop.step()
-    sent = loop.controller._commands.sent
+    sent = loop.controller.sending.commands.sent
     assert sent.believes_measured and not sent.contradicted
     assert not sent.at(1.0).any()
 

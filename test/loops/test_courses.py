@@ -35,7 +35,7 @@ REACHED = 1e-2
 def follow(loop: SampledLoop, goals: list[Vector], kind: Orientation = Orientation.FULL) -> None:
     """Put a list of goals in force."""
     course = Course.of(*(Goal(one, kind) for one in goals))
-    loop.controller.follow(ActiveCourse(course, 1))
+    loop.controller.following.take(ActiveCourse(course, 1))
 
 
 def run_to_the_end(loop: SampledLoop) -> list[float]:

@@ -75,7 +75,7 @@ def test_margin_spares_the_motors_and_is_spent_once(
 def test_arrival_is_at_the_time_asked_for_each_leg(search_time: float | None) -> None:
     loop = SampledLoop(CASE.start, replace(PLAIN, arrive_at=8.0), search_time=search_time)
     course = Course.of(Goal(CASE.goal), Goal(CASE.start))
-    loop.controller.follow(ActiveCourse(course, 1))
+    loop.controller.following.take(ActiveCourse(course, 1))
     loop.run(7.7)
     assert loop.decision.plan.arrival == pytest.approx(8.0, abs=0.02)
     loop.run(5.0)

@@ -132,7 +132,7 @@ def test_whatever_a_strategy_raises_is_counted_and_the_loop_goes_on(foreign, err
     for time in (0.0, PERIOD):
         controller.observe(time + 0.01, START)
         controller.commit(controller.decide(time + 0.02), time + 0.02)
-        assert not controller.searches and not controller.is_due(time)
+        assert not controller.planner.searches and not controller.planner.is_due(time)
     assert controller.failures > 0
     kind = "ForeignCodeError" if error in ("SystemExit", "GeneratorExit", "text") else error
     assert kind in controller.last_failure
@@ -309,7 +309,7 @@ def test_disturbance_and_floor_of_a_situation_cannot_be_written_to() -> None:
     controller = begun(floor=walled())
     controller.set_goal(NEAR)
     controller.commit(controller.decide(0.0), 0.0)
-    controller._planner.strategy = Given(writes)
+    controller.planner.strategy = Given(writes)
     controller.observe(0.2, START)
     controller.decide(PERIOD)
     assert len(refused) == 6

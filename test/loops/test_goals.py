@@ -54,39 +54,39 @@ def until_index(loop: SampledLoop, index: int) -> None:
 
 def test_what_remains_is_that_of_all_goals() -> None:
     controller = SampledLoop(START).controller
-    assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no goal"
-    controller.follow(course(*SQUARE))
-    assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no pose"
+    assert np.isnan(controller.following.remaining(1.0, 1.0)).all(), "no goal"
+    controller.following.take(course(*SQUARE))
+    assert np.isnan(controller.following.remaining(1.0, 1.0)).all(), "no pose"
     controller.observe(0.0, START)
-    time, way = controller.remaining(math.nan, math.nan)
+    time, way = controller.following.remaining(math.nan, math.nan)
     assert way == pytest.approx(0.4 + 0.3 + 0.4), "along straight lines"
     assert time == pytest.approx(3 * 2.0 + way / 0.742, rel=1e-3)
-    planned = controller.remaining(3.5, 0.6)
+    planned = controller.following.remaining(3.5, 0.6)
     assert planned == pytest.approx((3.5 + 2 * 2.0 + 0.7 / 0.742, 0.6 + 0.7), rel=1e-3)
-    resting = controller.remaining(math.nan, 0.0)
+    resting = controller.following.remaining(math.nan, 0.0)
     assert resting == pytest.approx((2 * 2.0 + 0.7 / 0.742, 0.7), rel=1e-3)
 
 
 def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
     loop = SampledLoop(START)
     controller = loop.controller
-    assert controller.follow(course(*SQUARE))
+    assert controller.following.take(course(*SQUARE))
     for k, pose in enumerate(SQUARE[:-1]):
         loop.keep_from_now_on()
         until_index(loop, k + 1)
         assert not controller.at_goal, "other goals follow"
         assert min(loop.errors(pose)) < 1e-2
         if k == 0:  # a repeated list goes on
-            assert not controller.follow(course(*SQUARE, stamp=2))
+            assert not controller.following.take(course(*SQUARE, stamp=2))
             assert (controller.active.index, controller.active.stamp) == (1, 2)
     loop.run(LONGEST)
     assert controller.at_goal and loop.decision.mode is Kind.AT_GOAL
     assert loop.error(SQUARE[-1]) < 1e-2
-    assert controller.follow(course(*SQUARE)), "all were visited: once more"
+    assert controller.following.take(course(*SQUARE)), "all were visited: once more"
     assert controller.active.index == 0
     assert controller.plans >= 3
     until_index(loop, 1)
-    assert controller.follow(course(*SQUARE[::-1])), "another list"
+    assert controller.following.take(course(*SQUARE[::-1])), "another list"
     assert controller.active.index == 0
     np.testing.assert_array_equal(controller.goal, SQUARE[-1])
 
@@ -214,7 +214,7 @@ def followed(
         if count % 2 == 0 and now < gone:
             given = goal(now).copy()
             given[POSITION] += noise * rng.standard_normal(2)
-            loop.controller.follow(ActiveCourse(Course.of(Goal(given, kind))), now)
+            loop.controller.following.take(ActiveCourse(Course.of(Goal(given, kind))), now)
         loop.advance(0.5 * SPACING)
         near = kind.nearest(goal(loop.time), loop.pose)
         if loop.time > 8.0:
@@ -235,7 +235,7 @@ def test_sphere_rests_at_a_noisy_goal(noise: float, position: float, angle: floa
 def test_point_that_moves_is_met_and_kept(speed: float) -> None:
     loop, position, _ = followed(line(speed * np.array([0.8, -0.6]), 2), Orientation.ANY)
     assert position < 0.02
-    assert loop.controller.goal_speed(loop.time) == pytest.approx(speed, rel=1e-3)
+    assert loop.controller.following.goal_speed(loop.time) == pytest.approx(speed, rel=1e-3)
     assert loop.controller.at_goal
 
 
@@ -274,7 +274,7 @@ def test_another_goal_is_no_motion() -> None:
 def test_goal_after_a_list_is_another_one_however_near_to_that_before_it() -> None:
     controller, near = SampledLoop(START).controller, upright_state(0.05, 0.0, 0.0)
     for k, poses in enumerate(([START], [START, near], [near])):
-        assert controller.follow(course(*poses), 0.1 * k)
+        assert controller.following.take(course(*poses), 0.1 * k)
     assert controller.active.is_last
 
 

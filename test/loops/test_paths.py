@@ -39,7 +39,7 @@ class Along(SampledLoop):
         super().__init__(start, settings, **others)
         self.paths = Path.through(places, settings.path_tolerance, self.nominal.shell_radius)
         course = Course.along(*self.paths, end=None if end is None else Goal(end))
-        self.controller.follow(ActiveCourse(course, 1))
+        self.controller.following.take(ActiveCourse(course, 1))
 
     def away(self, since: float = 0.0) -> float:
         """Return the largest deviation from a time on [m]."""
@@ -79,7 +79,7 @@ def test_closed_path_is_not_reached_at_its_start() -> None:
     for share in (0.0, 0.3, 0.9):
         loop.run(share * np.pi / 0.3 - loop.time)
         loop.sample()
-        tracked = loop.controller.tracking()
+        tracked = loop.controller.following.tracking()
         assert not loop.controller.at_goal and abs(tracked.way - share * np.pi) < 0.2
         assert tracked.way + tracked.way_left == pytest.approx(loop.paths[0].length)
 

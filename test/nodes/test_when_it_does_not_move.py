@@ -170,7 +170,7 @@ def cache_that_others_can_write(graph) -> None:
 def rate_beyond_the_machine(graph) -> None:
     robot(graph, time.time)
     node = graph.start(ControllerNode, control_rate=50.0)
-    node.controller._planner.strategy = Slow()
+    node.controller.planner.strategy = Slow()
     graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
 
 

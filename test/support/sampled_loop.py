@@ -77,7 +77,7 @@ class SampledLoop:
             worker=None if self.search_time is None else self.worker,
         )
         if self.is_known:
-            self.controller._estimator = Known(self)
+            self.controller.estimator = self.controller.following.estimator = Known(self)
         self.controller.floor = self.floor
         if self.goal is not None:
             self.controller.set_goal(self.goal)

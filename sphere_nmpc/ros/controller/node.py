@@ -259,15 +259,15 @@ class ControllerNode(ClockedNode):
         schedule.completed(ended - began, decision.solved)
         self._reports.tick(decision, request.instant, ended - began, ended, epoch)
         between = self._period > _FOUND_EVERY
-        if between and controller.searches and self._found_timer.is_canceled():
+        if between and controller.planner.searches and self._found_timer.is_canceled():
             self._found_timer.reset()
 
     def _use_found(self) -> None:
         """Plan immediately when a search has ended, rather than at the next sampling instant."""
         now = self._control_clock.steady_now()
-        if now is not None and self.controller.is_due(now + self._schedule.window):
+        if now is not None and self.controller.planner.is_due(now + self._schedule.window):
             self._restart(now)
-        if not self.controller.searches:
+        if not self.controller.planner.searches:
             self._found_timer.cancel()
 
     def _receive_pose(self, message: bytes) -> None:
@@ -301,7 +301,7 @@ class ControllerNode(ClockedNode):
         clock, wall = self._control_clock, time.monotonic()
         now = clock.steady_now()
         given = None if now is None else clock.own_time(goals.stamp, now)
-        is_new = self.controller.follow(goals, now if given is None else given)
+        is_new = self.controller.following.take(goals, now if given is None else given)
         self._stored_goal.supersede()
         if not is_new and wall < self._goal_told + _GOAL_TOLD_EVERY:
             return

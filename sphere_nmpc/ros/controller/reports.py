@@ -216,7 +216,7 @@ class ControllerReports:
             self._at_goal_published = self._controller.at_goal
             self._at_goal.publish(Bool(data=self._at_goal_published))
             if self._at_goal_published and self._decision is not None:
-                took, error = self._controller.arrival_took, self._decision.error
+                took, error = self._controller.following.arrival.took, self._decision.error
                 self._event_log.report(
                     "arrival", f"at the goal after {took:.2f} s, error {error:.1g}"
                 )

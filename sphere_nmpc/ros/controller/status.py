@@ -90,7 +90,8 @@ class ControllerStatus:
         if active is not None and active.course.origin is not self._counted:
             self._counted, self._effort = active.course.origin, np.zeros(2)
         if -math.inf < last < time:
-            self._effort += controller.motor_effort(last, time, pose)
+            plant = controller.estimator.plant.constants
+            self._effort += controller.sending.effort(last, time, pose, plant)
         self._evaluated_at = time
         self._controllability = controllability(pose, controller.estimator.plant.constants)
 
@@ -154,10 +155,10 @@ class ControllerStatus:
             left = float(np.maximum(0.0, decision.plan.arrival - time))  # nan if it is not known
         if decision is not None and decision.solved:
             way = decision.plan.way_left(time)
-        total_left, total_way = controller.remaining(left, way)
-        tracking = controller.tracking() or _NOT_FOLLOWED
+        total_left, total_way = controller.following.remaining(left, way)
+        tracking = controller.following.tracking() or _NOT_FOLLOWED
         return {
-            "goal_speed": controller.goal_speed(time),
+            "goal_speed": controller.following.goal_speed(time),
             "time_left_s": left,
             "distance_left_m": way,
             "total_time_left_s": total_left,

@@ -49,7 +49,7 @@ _GIVEN = 10
 """Every how many of their places are given to the controller."""
 _STEP = 5e-3
 """Time between two looks at the sphere [s]."""
-_REACH = 0.1
+_MEASURED_RANGE = 0.1
 """Way beyond what is rolled in a step, and less than from one part of a path to another [m]."""
 
 _BENT = [f"{form}{sign}{0.05 * k:.2f}" for form in ("arc", "s") for sign in "+-"
@@ -137,7 +137,7 @@ def measured(kind: str, number: int, options: dict[str, Any]) -> dict[str, Any]:
 
     found, controller = run(course_of(conditions, scenario))
     track, apart = judged_track(found, conditions, scenario)
-    rms, largest, time = measure_along(found.times, track, [exact], _REACH)
+    rms, largest, time = measure_along(found.times, track, [exact], _MEASURED_RANGE)
     reference = exact.length / SPEED
     if kind == "places":
         stops = (Goal(make_state(place, path.end[2:]), Orientation.ANY) for place in nodes[1:])
@@ -156,7 +156,7 @@ def measured(kind: str, number: int, options: dict[str, Any]) -> dict[str, Any]:
 
 def drawn(path: Curve, track: Vector) -> dict[str, Any]:
     """Return what the figure of a run shows."""
-    away, way = deviations([path], track, _REACH)
+    away, way = deviations([path], track, _MEASURED_RANGE)
     shown = {"path": path.places, "track": track, "away": away, "way": way}
     return {name: values[::_GIVEN].tolist() for name, values in shown.items()}
 

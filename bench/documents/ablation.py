@@ -4,7 +4,7 @@
 
     python bench/documents/ablation.py strategy                 # all numbers, half an hour
     python bench/documents/ablation.py estimator push tilt=10   # some, one to a given value
-    python bench/documents/ablation.py constants strategy.time_optimal.guide:_FARTHEST=7.0
+    python bench/documents/ablation.py constants strategy.time_optimal.guide:_MAX_GOAL_DISTANCE=7.0
 
 A number is changed by a factor that is large for it, and the runs of the studies that it matters
 for are made as with the defaults. For each study the mean change of the settling time is printed

@@ -66,7 +66,7 @@ class Controller:
         self, settings: ControllerSettings, robot: RobotParameters,
         strategy: Strategy | None = None, worker: Worker | None = None,
     ) -> None:
-        library()  # it is loaded, or its absence told, here and not at the first instant
+        library()  # it is loaded, or its absence reported, here and not at the first instant
         self._settings = settings = settings.of(robot)
         robot = self._robot = within_torque(robot)
         self.failures = 0
@@ -271,8 +271,8 @@ class Controller:
             # An error anywhere must not stop the loop; the hold in force is safe to its end.
             plan = self._fallback(time, None, error)
             if self.enabled:
-                return Decision(Kind.FALLBACK.alone, plan, None)
-            return Decision(Kind.DISABLED.alone, self.sending.stop(time, Kind.DISABLED), None)
+                return Decision(Kind.FALLBACK.conditions, plan, None)
+            return Decision(Kind.DISABLED.conditions, self.sending.stop(time, Kind.DISABLED), None)
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return the hold to send at `now` [s] and record it as sent; None if there is none.
@@ -334,9 +334,9 @@ class Controller:
         goal = None if active is None else active.goal.nearest(state, time)
         if active is None or goal is None or not self._enabled:
             mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED
-            found, plan = mode.alone, self.sending.stop(time, mode, state)
+            found, plan = mode.conditions, self.sending.stop(time, mode, state)
         elif estimate is None:
-            found, plan = Kind.FALLBACK.alone, self._fallback(time, state, failure)
+            found, plan = Kind.FALLBACK.conditions, self._fallback(time, state, failure)
         elif before is not None and before.stands(
             time, state, estimate.uncertainty,
             (active.leg, self._floor, estimate.plant, disturbance),
@@ -356,7 +356,7 @@ class Controller:
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self.estimator
         return Decision(
-            mode.alone, self.sending.stop(time, mode), None, pose_age=age,
+            mode.conditions, self.sending.stop(time, mode), None, pose_age=age,
             momentum=estimator.momentum, disturbance=estimator.disturbance,
         )
 
@@ -381,7 +381,7 @@ class Controller:
             self.planner.in_force = in_force = InForce(plan, situation, self._robot)
             return in_force.conditions, plan
         except Exception as error:
-            return Kind.FALLBACK.alone, self._fallback(time, estimate.state, error)
+            return Kind.FALLBACK.conditions, self._fallback(time, estimate.state, error)
 
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         message = self._record(error)

@@ -116,10 +116,10 @@ class CourseFollowing:
         elif active is not None and active.leg.follows and not self._has_followed(active, time):
             away = math.nan
         reached = self.arrival.update(time, away, settings.period)
-        arrived = reached and found is Kind.TRACKING.alone
+        arrived = reached and found is Kind.TRACKING.conditions
         if goal is None or arrived or not decision.solved:
             self._progress.reset()
-            return replace(decision, conditions=Kind.AT_GOAL.alone) if arrived else decision
+            return replace(decision, conditions=Kind.AT_GOAL.conditions) if arrived else decision
         missing = self._progress.update(time, pose, goal, speeds_at, decision, settings)
         if missing is None:
             return decision

@@ -23,7 +23,7 @@ class Decision:
     Attributes
     ----------
     conditions : tuple of Condition
-        How things stand; the first one tells the mode.
+        How things stand; the first one is the mode.
     plan : Plan
         The plan, before it is joined to the speeds in force by `Controller.commit`.
     state : ndarray of shape (9,), or None

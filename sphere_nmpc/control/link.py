@@ -23,23 +23,23 @@ from sphere_nmpc.reporting.conditions import Condition, Kind
 
 REACH = 3.0
 """Time after which a command that is not renewed stops [s]."""
-_DISTINCT = 0.5
-"""Difference of two commands above which measured speeds tell which one is followed [rad/s]."""
-_CLEAR = 0.5
+_MIN_DIFFERENCE = 0.5
+"""Difference of two commands above which measured speeds show which one is followed [rad/s]."""
+_MAX_DISTANCE_RATIO = 0.5
 """Distance to the command that is followed over that to the other one, below which it is clear."""
-_KEPT = 256
+_MAX_COMMANDS = 256
 """Newest commands that may still take effect, half a second of them at the highest rate, and poses
 that delay and loss are taken of."""
 NEGLIGIBLE = 0.025
 """Delay of a command up to which it counts as in time [s; of its motion for the robot of Table 1].
 That of one late by 0.1 s is up to 10 mm from the planned one, which grows with the square of the
 delay, and a plan that is followed has a margin of 2.1 mm."""
-_SPACINGS = 1.25
+_MAX_DELAY_SPACINGS = 1.25
 """Delay up to which a command also counts as in time [spacings of the measurements]: a clock that
 is a topic has the same spacing, and commands are late by that alone."""
-_LEAST_DELAY = 5e-3
+_MIN_LINK_DELAY = 5e-3
 """Delay of poses [s] below which there is no link, only the time that a message takes."""
-_LOSSY = 0.01
+_MAX_LOSS = 0.01
 """Share of lost commands up to which the link counts as without losses."""
 
 
@@ -130,8 +130,8 @@ class PoseLink:
     """
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_KEPT)
-        self._ages = Recent(_KEPT)
+        self._times: deque[float] = deque(maxlen=_MAX_COMMANDS)
+        self._ages = Recent(_MAX_COMMANDS)
 
     def received(self, time: float, age: float) -> None:
         """Record a pose measured at `time` [s], which is `age` old; nan if that is unknown."""
@@ -186,7 +186,7 @@ class RotorFeedback:
         self._sent = sent
         self._acceleration = acceleration
         self.poses = PoseLink()
-        """What the poses tell of the link."""
+        """What the poses show of the link."""
         self._is_measured = False
         self._delays, self._losses = Recent(), Recent()
         self.delay = float("nan")
@@ -196,7 +196,7 @@ class RotorFeedback:
     def reset(self) -> None:
         """Forget all commands, as after a jump of the clock; what is known of delays is kept."""
         self._followed: FirstOrderHold | None = None
-        self._waiting: deque[tuple[FirstOrderHold, bool]] = deque(maxlen=_KEPT)
+        self._waiting: deque[tuple[FirstOrderHold, bool]] = deque(maxlen=_MAX_COMMANDS)
         self._measured: tuple[float, Vector] = (float("-inf"), np.zeros(INPUT_SIZE))
         self._between: list[tuple[float, Vector]] = []
         self._gaps = Recent()
@@ -211,7 +211,7 @@ class RotorFeedback:
         """Delay that commands may have without being late [s]; 0 without a link."""
         late = 0.0 if self._sent.contradicted else max(self._delays, default=0.0)
         delay = self.poses.delay
-        return min(max(late, delay if delay > _LEAST_DELAY else 0.0), LONGEST_WINDOW)
+        return min(max(late, delay if delay > _MIN_LINK_DELAY else 0.0), LONGEST_WINDOW)
 
     @property
     def loss(self) -> float:
@@ -240,7 +240,7 @@ class RotorFeedback:
     @property
     def shows_link(self) -> bool:
         """Whether commands have been late or lost lately."""
-        return self.window > 0.0 or self.loss > _LOSSY
+        return self.window > 0.0 or self.loss > _MAX_LOSS
 
     def sent(self, hold: FirstOrderHold) -> None:
         """Take a hold that is sent now, its first knot."""
@@ -263,22 +263,22 @@ class RotorFeedback:
         if not due:
             return
         old = self._speeds_before(time)
-        if _distance(self._waiting[due[-1]][0].at(time), old) <= _DISTINCT:
+        if _distance(self._waiting[due[-1]][0].at(time), old) <= _MIN_DIFFERENCE:
             return
         new = [self._waiting[i][0].at(time) for i in due]
         errors = [_distance(speeds, each) for each in new]
         # Of commands that agree, the newest.
         best = min(reversed(due), key=lambda i: errors[i])
-        if _distance(speeds, old) < _CLEAR * errors[best]:
+        if _distance(speeds, old) < _MAX_DISTANCE_RATIO * errors[best]:
             self._overdue(due, time)
             return
         is_late = self._waiting[best][1] or bool(self._between)
-        if errors[best] <= _DISTINCT < float(np.max(np.abs(speeds))):
+        if errors[best] <= _MIN_DIFFERENCE < float(np.max(np.abs(speeds))):
             self._sent.confirm()
-        if errors[best] > _DISTINCT:
+        if errors[best] > _MIN_DIFFERENCE:
             self._between.append((time, speeds))
             if not is_late:
-                return  # The next measurement tells whether the rotors are late or weak.
+                return  # The next measurement shows whether the rotors are late or weak.
             steepest = _distance(speeds, before) / (time - since)
             is_late = self._waiting[best][1] or steepest > (1.0 - SHARE_STEP) * self._acceleration
         self._took_effect(best, is_late, time, speeds)
@@ -323,7 +323,7 @@ class RotorFeedback:
     def _negligible(self) -> float:
         """Delay up to which a command counts as in time [s]."""
         spacing = min(self._gaps, default=0.0)
-        return max(NEGLIGIBLE, _SPACINGS * spacing)
+        return max(NEGLIGIBLE, _MAX_DELAY_SPACINGS * spacing)
 
     def _overdue(self, due: list[int], time: float) -> None:
         """Withdraw commands that are not followed at `time` [s] though they should be."""

@@ -35,7 +35,7 @@ from sphere_nmpc.estimation.posterior import (
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
-_EXPECTED = 10.0
+_PRIOR_ERRORS = 10.0
 """Number of errors that what was known of the noise's scale before weighs as much as."""
 _BLOCK = 2 * KNOT + COMMON
 _NEXT, _MEASURED = slice(KNOT, 2 * KNOT), slice(KNOT, KNOT + 5)
@@ -45,7 +45,7 @@ _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What older intervals tell of a knot and the common unknowns: a Gaussian near a point.
+    """What older intervals contribute on a knot and the common unknowns: a Gaussian near a point.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class NormalEquations:
             "kij,kj->ki", given.pose_weights, given.innovations
         )
         cost = hypothesis.cost(numbers) + given.cost
-        cost += _EXPECTED * (given.prior.scale / scale + float(np.log(scale)))
+        cost += _PRIOR_ERRORS * (given.prior.scale / scale + float(np.log(scale)))
         cost += float(np.sum(errors**2))
         cost += 2.0 * float(np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2))))
         cost += _squares(given.pose_weights, given.innovations)
@@ -314,8 +314,8 @@ class NormalEquations:
         """Return the scale of the noise that the errors after the step show, at least 1."""
         errors = self.whitened[:, POSE_ERROR]
         total = self._scale * float(np.sum(errors**2))
-        known = _EXPECTED * self._expected
-        return max(1.0, (total + known) / (errors.size + _EXPECTED))
+        known = _PRIOR_ERRORS * self._expected
+        return max(1.0, (total + known) / (errors.size + _PRIOR_ERRORS))
 
     def covariance(self) -> Vector:
         """Return that of the newest knot and the common unknowns, shape (19, 19)."""
@@ -327,7 +327,7 @@ class NormalEquations:
         return covariance
 
     def without_first(self, point: Point, hypothesis: Hypothesis) -> Prior:
-        """Return what the prior and the first interval tell of the knot at its end.
+        """Return what the prior and the first interval contribute on the knot at its end.
 
         `point` is the point of the equations, which have no other interval.
         """

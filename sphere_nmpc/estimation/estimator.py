@@ -32,7 +32,7 @@ from sphere_nmpc.worker.in_line import InLine
 
 _KEY = "estimator"
 _NAMES = ("shell_radius", " m"), ("c1", ""), ("r1", ""), ("r3", "")
-_OTHER = 0.2
+_MAX_DIFFERENCE = 0.2
 """Difference of a learnt constant from that given, relative to it, above which the robot is taken
 for another one [-]: what the prior expects of sizes and masses."""
 _DEVIATIONS = 3.0
@@ -140,13 +140,14 @@ class Estimator:
         given, learnt = scaling.nominal.as_array(), scaling.constants(self._result.common)
         off = np.abs(learnt - given) / given - _DEVIATIONS * self._plant.deviations / given
         worst = int(np.argmax(off))
-        if off[worst] < _OTHER:
+        if off[worst] < _MAX_DIFFERENCE:
             return None
         name, unit = _NAMES[worst]
         return Condition(
             Kind.OTHER_ROBOT, f"given {name} = {given[worst]:.3g}{unit}, and the motion shows "
-            f"{learnt[worst]:.3g}{unit}, expected at most {100.0 * _OTHER:.0f} % from it: was the "
-            "params_file with the robot given to all nodes, and do the rotors turn as commanded?",
+            f"{learnt[worst]:.3g}{unit}, expected at most {100.0 * _MAX_DIFFERENCE:.0f} % "
+            "from it: was the params_file with the robot given to all nodes, and do the rotors "
+            "turn as commanded?",
         )
 
     @property
@@ -226,7 +227,7 @@ class Estimator:
         deviations = np.sqrt(np.diag(result.covariance)[KNOT : KNOT + 4])
         declared = settings.pose_position_noise > 0.0 or settings.pose_orientation_noise > 0.0
         is_noisy = declared or any(result.pose_noise)
-        # Once the constants are known, more knots would tell no more of them.
+        # Once the constants are known, more knots would show no more of them.
         is_known = is_noisy or bool(np.max(deviations) < numbers.known)
         self._spacing = numbers.spacing if is_known else 0.5 * numbers.spacing
         learns = settings.learning
@@ -318,7 +319,7 @@ class Estimator:
     def _interval(self, since: float, within: list[MeasuredPose], end: MeasuredPose) -> Interval:
         """Return the interval from `since` [s] to a pose, with some of those within it."""
         numbers, used = self._numbers, [end]
-        # Poses in quick succession tell little more, and a long interval is to take no longer.
+        # Poses in quick succession add little, and a long interval is to take no longer.
         apart = numbers.pose_spacing * max(1.0, 0.5 * (end.time - since) / numbers.spacing)
         for one in reversed(within):
             if min(used[-1].time - one.time, one.time - since) > apart - SAME:

@@ -34,7 +34,7 @@ _NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
 """Noises beyond that given that are tried, of the poses [rad; over the radius in m] and of their
 stamps [s]."""
 
-_ACROSS = 0.25
+_MIN_TRANSVERSE_RATIO = 0.25
 """Effect of a late command in other directions than that of a short delay, over that [-]."""
 
 
@@ -220,7 +220,7 @@ def step_covariances(
             effect = numbers.late / numbers.lag * by[:, KNOT + LAG]
             covariances[k] += np.outer(effect, effect)
             # The motion is not linear in it.
-            across = _ACROSS * float(np.linalg.norm(effect[2:5]))
+            across = _MIN_TRANSVERSE_RATIO * float(np.linalg.norm(effect[2:5]))
             diagonals[k, POSE_ERROR] += scaling.pose_variance(across)
         spread = numbers.share_spread * by[:, KNOT + SHARE]
         covariances[k] += np.outer(spread, spread)

@@ -92,7 +92,7 @@ class MeasuredPose:
     time: float
     pose: Vector
     belief: Belief | None = None
-    """What this pose and those before it tell; None as long as that has not been asked for."""
+    """Belief by this pose and those before it; None as long as that has not been asked for."""
     is_outlier: bool = False
     """Whether it was left out as improbable."""
 
@@ -217,13 +217,13 @@ class PoseFilter:
         last.belief = belief = last.belief or self._began_at(last)
         if self.is_noisy:
             for one in poses[known + 1 :]:
-                # Where poses are fused again, those in quick succession tell little more.
+                # Where poses are fused again, those in quick succession add little.
                 apart = one.time - last.time > self._scaling.numbers.pose_spacing - SAME
                 if apart or one.time > self._fused_until or one is newest:
                     one.belief = belief = self._fused(belief, last.time, one)
                     last = one
         elif last is not newest:
-            # Exact poses before the newest tell nothing more.
+            # Exact poses before the newest add nothing.
             if self.disturbance is not UNDISTURBED:
                 belief = self._moved(belief, last.time - self._lag, newest.time - self._lag)
             state = np.concatenate((newest.pose, belief.state[MOMENTUM]))
@@ -231,7 +231,7 @@ class PoseFilter:
         return belief
 
     def _began_at(self, first: MeasuredPose) -> Belief:
-        """Return the belief at the first pose: its own, with what the anchor tells of the rest."""
+        """Return the belief at the first pose: its own, with what the anchor adds for the rest."""
         state = np.concatenate((first.pose, self._anchor.state[MOMENTUM]))
         measured = self._measured(state, first.time)
         return Belief(state, with_block(self._anchor.covariance, POSE_ERROR, measured))

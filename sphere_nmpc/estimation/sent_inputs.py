@@ -108,7 +108,7 @@ class SentInputs:
             self._holds = self._sent if self.contradicted else self._corrected
 
     def is_pending(self, time: float, now: float) -> bool:
-        """Return whether measured speeds will tell soon what the rotors did up to `time` [s].
+        """Return whether measured speeds will show soon what the rotors did up to `time` [s].
 
         Not if none were received for a while at `now` [s].
         """

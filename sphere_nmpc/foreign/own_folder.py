@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 from sphere_nmpc.foreign.file import read_file
 
 T = TypeVar("T")
-_MOST_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
 """Size of a kept file: several times that of the longest list of goals."""
 
 
@@ -116,7 +116,7 @@ class KeptFile(Generic[T]):
         own_folder(self._path.parent)
         try:
             age = max(0.0, time.time() - self._path.stat().st_mtime)
-            content = json.loads(read_file(self._path, _MOST_BYTES))
+            content = json.loads(read_file(self._path, _MAX_BYTES))
             value, then = self._read(content), int(content["stamp"])
         except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError):
             return None

@@ -23,7 +23,7 @@ _HEADER = struct.Struct("!QQ")
 """Before each message: its length [bytes], and the number of shared memories that belong to it."""
 _READ_AT_ONCE = 1 << 18
 """Bytes: what a socket of Linux holds by default."""
-_MOST_DESCRIPTORS = 253
+_MAX_DESCRIPTORS = 253
 """File descriptors that Linux passes at once."""
 
 
@@ -164,7 +164,7 @@ class Channel:
     def _more(self) -> None:
         try:
             arrived, descriptors, flags, _ = socket.recv_fds(
-                self._socket, _READ_AT_ONCE, _MOST_DESCRIPTORS
+                self._socket, _READ_AT_ONCE, _MAX_DESCRIPTORS
             )
         except BlockingIOError:
             raise

@@ -21,11 +21,11 @@ TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 """From a terminal to all processes that run in it: Ctrl-C, Ctrl-\\ and its end."""
 END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 """Signals that ask a process to end, which all processes of this package treat alike."""
-_PATIENCE = 6.0
+_STOP_TIMEOUT = 6.0
 """Wait of `Child.stop` after SIGINT [s]."""
 NICENESS = 5
 """Niceness of a process that only displays or searches, behind the control loop."""
-_LAST_LINES = 12
+_QUOTED_LINES = 12
 """Lines of output that a `ChildEndedError` quotes."""
 _SET_PARENT_DEATH_SIGNAL = 1
 # Loaded at once: between fork and exec the loader's lock may be held by a thread that is no more.
@@ -76,7 +76,7 @@ class ChildEndedError(SphereNmpcError):
     """A child process ended unexpectedly."""
 
     def __init__(self, child: "Child") -> None:
-        lines = child.output.splitlines()[-_LAST_LINES:]
+        lines = child.output.splitlines()[-_QUOTED_LINES:]
         quoted = "\n".join(f"  {line}" for line in lines) or "  (no output)"
         super().__init__(f"unexpected end: {child.ending}; its last output:\n{quoted}")
 
@@ -185,7 +185,7 @@ class Child:
             self._signal(signal.SIGKILL)
             self.stop(0.0)
 
-    def stop(self, patience: float = _PATIENCE) -> None:
+    def stop(self, patience: float = _STOP_TIMEOUT) -> None:
         """End it; see `stop_together`."""
         stop_together([self], patience)
 
@@ -205,7 +205,7 @@ class Child:
             os.killpg(self.pid, number)
 
 
-def stop_together(children: Sequence[Child], patience: float = _PATIENCE) -> None:
+def stop_together(children: Sequence[Child], patience: float = _STOP_TIMEOUT) -> None:
     """End processes at the same time, and wait for their end.
 
     They are asked to by SIGINT or, where there is a channel, by closing it; after `patience` [s]

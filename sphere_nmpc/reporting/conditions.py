@@ -121,14 +121,14 @@ class Kind(Enum):
     severity: Severity
     log: str
     code: int
-    alone: "tuple[Condition, ...]"
-    """The condition of this kind of which nothing more is told."""
+    conditions: "tuple[Condition, ...]"
+    """The only condition is one of this kind, without a text."""
 
     def __new__(cls, value: str, severity: Severity, log: str = "", code: int = 0) -> "Kind":
         """Return the kind of a row."""
         kind = object.__new__(cls)
         kind._value_, kind.severity, kind.log, kind.code = value, severity, log or value, code
-        kind.alone = (Condition(kind),)
+        kind.conditions = (Condition(kind),)
         return kind
 
     @property

@@ -41,7 +41,7 @@ plan for a momentum that differs by less can still be followed."""
 MOST_KNOTS = 3000
 """Knots that a plan may have: those of this package have some hundred. Up to a command so many
 take 15 ms, 10 000 of them 80 ms."""
-_DIFFERENT = 1e-3
+_SPEED_STEP = 1e-3
 """Difference from the speeds in force [rad/s] from which on a plan does not begin with them."""
 _FIELDS: dict[type, dict[str, Any]] = {
     Plan: {
@@ -300,7 +300,7 @@ def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> 
         raise ArithmeticError("the predicted states are not finite")
     states.flags.writeable = False
     time, speeds = situation.time, situation.speeds
-    if abs(hold.start - time) > SHORTEST or np.abs(hold.speeds[0] - speeds).max() > _DIFFERENT:
+    if abs(hold.start - time) > SHORTEST or np.abs(hold.speeds[0] - speeds).max() > _SPEED_STEP:
         hold = hold.starting_at(time, speeds, SHORTEST)
     return replace(
         plan, states=states, clearance=math.nan,

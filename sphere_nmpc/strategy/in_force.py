@@ -52,7 +52,7 @@ class InForce:
     def conditions(self) -> tuple[Condition, ...]:
         """How things stand while it is followed."""
         is_saturated = self.plan.status is PlanStatus.SATURATED
-        return (Kind.SATURATED if is_saturated else Kind.TRACKING).alone
+        return (Kind.SATURATED if is_saturated else Kind.TRACKING).conditions
 
     @property
     def is_certified(self) -> bool:

@@ -34,7 +34,7 @@ from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 
 SETTLED_COST = 1e-4
 """Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled."""
-_LEAST_DECREASE = 1e-3
+_MIN_DECREASE = 1e-3
 """Relative decrease of the cost in a sample period below which the point counts as stationary. A
 goal straight ahead exceeds it up to 700 m away; a wrong value only costs or saves a few solves."""
 _AMPLITUDE = 0.3
@@ -198,7 +198,7 @@ class PaperStrategy:
             return False
         last, cost = self._last_cost, solution.cost
         self._horizon_end, self._last_cost = horizon_end, cost
-        stationary = solution.iterations == 0 or not cost < (1.0 - _LEAST_DECREASE) * last
+        stationary = solution.iterations == 0 or not cost < (1.0 - _MIN_DECREASE) * last
         return stationary and cost > self._settled_cost
 
     def _solve(

@@ -71,5 +71,5 @@ def stop(situation: Situation, robot: RobotParameters, message: str) -> Plan:
 
 
 def _plan(situation: Situation, hold: FirstOrderHold, message: str, status: PlanStatus) -> Plan:
-    told = (Condition(Kind.PLANNED, message),)
-    return Plan(status, hold, situation.state[None, :], conditions=told)
+    conditions = (Condition(Kind.PLANNED, message),)
+    return Plan(status, hold, situation.state[None, :], conditions=conditions)

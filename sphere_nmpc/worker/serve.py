@@ -19,7 +19,7 @@ from sphere_nmpc.process.child import END_SIGNALS, NICENESS
 from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.worker.contract import Store
 
-_USED = ("sphere_nmpc.strategy.time_optimal.background", "sphere_nmpc.estimation.estimator")
+_USED = ("sphere_nmpc.strategy.time_optimal.search_task", "sphere_nmpc.estimation.estimator")
 """Modules of the tasks, loaded before the first of them arrives."""
 
 

@@ -244,7 +244,7 @@ WRONG_TYPES = {
     "a cost": {"made": Made(cost="much")},
     "a count": {"made": Made(iterations=0.5)},
     "conditions": {"conditions": "given up"},
-    "a list of conditions": {"conditions": [Kind.GIVEN_UP.alone]},
+    "a list of conditions": {"conditions": [Kind.GIVEN_UP.conditions]},
     "a condition": {"conditions": ("given up",)},
     "a tuple": {"conditions": ((Kind.PLANNED, "rolls", ""),)},
     "a kind": {"conditions": (Condition("planned"),)},

@@ -30,7 +30,7 @@ from sphere_nmpc.strategy.time_optimal.arrival import RAISES, ArrivalSolver, rol
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
-_ENDED = 1e-3
+_MIN_TIME_LEFT = 1e-3
 """Time left of a plan [s] below which it has ended."""
 
 
@@ -78,7 +78,7 @@ def solved_again(
         Whether it is solved for the goal of the situation, rather than for its own.
     """
     now, settings, before = situation.time, solver.settings, followed.plan
-    if before.end - now < _ENDED:
+    if before.end - now < _MIN_TIME_LEFT:
         return None
     hold = rest = left_of(before, now, solver.grid)
     goal, asked = before.leg.goal, before.asked if before.spared else -math.inf

@@ -157,7 +157,7 @@ def missing(poses: list[Vector], **settings: float) -> list[Condition | None]:
     chosen = ControllerSettings(strategy="paper", **settings)  # type: ignore[arg-type]
     plan = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, AT_REST), START[None, :])
     for k, pose in enumerate(poses):
-        decision = Decision(Kind.TRACKING.alone, plan, without_momentum(pose), GOAL, 0.0)
+        decision = Decision(Kind.TRACKING.conditions, plan, without_momentum(pose), GOAL, 0.0)
         found.append(progress.update(0.5 * k, pose, GOAL, lambda _: AT_REST, decision, chosen))
     return found
 

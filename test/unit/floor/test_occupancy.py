@@ -198,7 +198,7 @@ def test_polygon_is_entered_alike_in_a_few_rows_at_a_time(monkeypatch) -> None:
     polygon = star(3, 40)
     free = Grid(np.zeros((60, 70), dtype=bool), 0.1, (-3.0, -3.0, 0.2))
     whole = free.with_obstacle(polygon).occupied, free.within(polygon).occupied
-    monkeypatch.setattr(occupancy, "_BLOCK", 50)
+    monkeypatch.setattr(occupancy, "_BLOCK_SIZE", 50)
     np.testing.assert_array_equal(free.with_obstacle(polygon).occupied, whole[0])
     np.testing.assert_array_equal(free.within(polygon).occupied, whole[1])
     assert 0 < np.count_nonzero(whole[0]) < whole[0].size

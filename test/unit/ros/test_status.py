@@ -48,7 +48,7 @@ def status_values(
     controller = Controller(chosen, ROBOT)
     controller.floor = floor
     decided = controller.decide(2.0)
-    conditions = Kind.TRACKING.alone if plan else decided.conditions
+    conditions = Kind.TRACKING.conditions if plan else decided.conditions
     decision = replace(decided, conditions=conditions, plan=replace(decided.plan, **plan))
     return ControllerStatus(controller, ROBOT, chosen).values(decision, 2.0, 0.0, 0)
 

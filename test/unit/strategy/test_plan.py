@@ -44,7 +44,7 @@ def plan() -> Plan:
         ((ROLLS, Condition(Kind.GIVEN_UP, "turns")), "rolls", "turns", None),
         ((Condition(Kind.GIVEN_UP, "turns"), ROLLS), "rolls", "turns", None),
         ((ROLLS, Condition(Kind.NO_WAY, "no way there")), "rolls", "no way there", Kind.NO_WAY),
-        (Kind.GOAL_OCCUPIED.alone, "", "", Kind.GOAL_OCCUPIED),
+        (Kind.GOAL_OCCUPIED.conditions, "", "", Kind.GOAL_OCCUPIED),
     ],
     ids=["says nothing", "planned", "gives up", "in any order", "unreachable", "without words"],
 )

@@ -82,14 +82,21 @@ def _by_latitude(first: float, last: float, turn: float, constants: LumpedConsta
     `first` and `last` are the sines of the latitude of the contact point on the shell at start and
     goal, `turn` is the angle between the two orientations [rad].
     """
-    r1, r3 = constants.transverse_ratio, constants.axial_ratio
     ends = np.abs(np.arcsin(np.clip([first, last], -1.0, 1.0)))
     nearest = float(np.min(ends)) if first * last > 0.0 else 0.0
     edges = np.linspace(0.0, nearest, _CELLS + 1)
     # Within a cell: the way to its far edge, and the share at its near one, both the least.
     way = np.sum(ends) - 2.0 * edges[1:]
-    tilt = ((1.0 - r3) * np.tan(edges[:-1])) ** 2
+    return float(np.min(_least_input(way, turn, _least_share_from(edges[:-1], constants))))
+
+
+def _least_share_from(latitude: ArrayLike, constants: LumpedConstants) -> Vector:
+    """Return eta [-], shape (n,), the least at any higher latitude [rad], Eq. (5) of the document.
+
+    It is the square of the least c1 |u| for a rotation of 1 rad/s at a constant latitude.
+    """
+    r1, r3 = constants.transverse_ratio, constants.axial_ratio
+    tilt = ((1.0 - r3) * np.tan(latitude)) ** 2
     limit = 1.0 - ((r1 - r3) / (1.0 - r3)) ** 2
-    share = np.minimum(((1.0 - r1) ** 2 + limit * tilt) / (1.0 + tilt), limit)
-    share = np.maximum(share, _least_share(constants))
-    return float(np.min(_least_input(way, turn, share)))
+    share: Vector = np.minimum(((1.0 - r1) ** 2 + limit * tilt) / (1.0 + tilt), limit)
+    return np.maximum(share, _least_share(constants))

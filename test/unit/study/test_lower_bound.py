@@ -23,7 +23,7 @@ from sphere_nmpc.model.state import (
 )
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.best_known import best_known_time
-from sphere_sim.study.lower_bound import _least_share, lower_bound
+from sphere_sim.study.lower_bound import _least_share, _least_share_from, lower_bound
 from sphere_sim.study.motion import Motion
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant
@@ -183,6 +183,11 @@ def test_rolling_and_turning_share_the_rotor_speeds(robot) -> None:
         share = (1.0 - r1) ** 2 - ((r1 - r3) * vertical[2]) ** 2
         of_rotors = constants.input_gain**2 * speeds @ speeds
         assert rolling @ rolling + share * turning**2 == pytest.approx(of_rotors, rel=1e-6)
+        latitude = np.arcsin(vertical[2:])
+        eta = float(_least_share_from(np.abs(latitude), constants)[0])
+        rising = np.cross(vertical, plant.body_rate)[2] / np.cos(latitude[0])
+        along = (1.0 - eta) * rising**2 + eta * plant.body_rate @ plant.body_rate
+        assert along <= of_rotors * (1.0 + 1e-6)
         shares.append(share)
     assert min(shares) > 0.0
     assert _least_share(constants) == pytest.approx(min(shares), rel=1e-9)

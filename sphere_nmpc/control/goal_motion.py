@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.error_state import apply_error, error_between
+from sphere_nmpc.model.error_state import SIGNIFICANT_DEVIATIONS, apply_error, error_between
 from sphere_nmpc.model.goal import STANDING, Goal
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 
@@ -27,8 +27,6 @@ _MIN_SPACING = 0.04
 """Least time between goals that are kept [s], but for the newest one."""
 _MIN_GOALS_FOR_RATE = 3
 """Number of goals from which on a rate and their noise are estimated."""
-_SIGNIFICANT_DEVIATIONS = 4.0
-"""Standard deviations [-] beyond which a rate is one, and a change of its own."""
 _DEVIATIONS_OF_CHANGE = 6.0
 """Standard deviations [-] from the line at which the goal moves in another way."""
 _LEAST_NOISE = np.array([2e-4, 1e-3])
@@ -114,13 +112,13 @@ class GoalMotion:
         ])
         self._noise = np.maximum(noise, _LEAST_NOISE)
         for part, sigma in zip(_PARTS, self._noise, strict=True):
-            if np.linalg.norm(slope[part]) > _SIGNIFICANT_DEVIATIONS * sigma / np.sqrt(spread):
+            if np.linalg.norm(slope[part]) > SIGNIFICANT_DEVIATIONS * sigma / np.sqrt(spread):
                 rate[part] = slope[part]
                 value[part] = mean[part] - np.mean(ages) * slope[part]
         pose = apply_error(newest, value)
         if not rate.any() and not goal.rate.any():
             moved = position_error(pose, goal.pose), angle_error(pose, goal.pose)
-            if np.all(np.array(moved) < _SIGNIFICANT_DEVIATIONS * self._noise / np.sqrt(count)):
+            if np.all(np.array(moved) < SIGNIFICANT_DEVIATIONS * self._noise / np.sqrt(count)):
                 return replace(goal, since=float(times[-1]))
         rate = rate if rate.any() else STANDING
         return replace(goal, pose=pose, rate=rate, since=float(times[-1]))

@@ -21,6 +21,7 @@ from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
 from sphere_nmpc.estimation.sent_inputs import SentInputs
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.model.disturbance import Disturbance
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.plant import PlantEstimate
@@ -35,8 +36,6 @@ _NAMES = ("shell_radius", " m"), ("c1", ""), ("r1", ""), ("r3", "")
 _MAX_DIFFERENCE = 0.2
 """Difference of a learnt constant from that given, relative to it, above which the robot is taken
 for another one [-]: what the prior expects of sizes and masses."""
-_DEVIATIONS = 3.0
-"""Standard deviations of a learnt constant that are not counted."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -138,7 +137,7 @@ class Estimator:
         """
         scaling = self._scaling
         given, learnt = scaling.nominal.as_array(), scaling.constants(self._result.common)
-        off = np.abs(learnt - given) / given - _DEVIATIONS * self._plant.deviations / given
+        off = np.abs(learnt - given) / given - EXPECTED_DEVIATIONS * self._plant.deviations / given
         worst = int(np.argmax(off))
         if off[worst] < _MAX_DIFFERENCE:
             return None

@@ -16,8 +16,10 @@ from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, STATE_SIZE, 
 
 ERROR_SIZE = STATE_SIZE - 1
 """Size of the error of a state: a rotation vector has a number less than a quaternion."""
-
-
+EXPECTED_DEVIATIONS = 3.0
+"""Standard deviations up to which an error is expected [-]."""
+SIGNIFICANT_DEVIATIONS = 4.0
+"""Standard deviations from which on what is measured is no noise [-]."""
 _ROUNDING_SHARE = 1e-6
 """Asymmetry and negative eigenvalues of a given covariance that count as rounding, over its
 largest variance [-]."""

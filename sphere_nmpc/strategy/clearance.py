@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
 from sphere_nmpc.reporting.conditions import Kind
@@ -29,8 +30,6 @@ from sphere_nmpc.strategy.contract import Situation
 _MAX_SAMPLE_TIMES = 0.06, 0.015, 0.0025
 """Longest time between two samples of a path [1 / (c1 u_max)]: 25.5 mm of the way for Table 1 with
 both rotors at their limits, and 6.4 and 1.1 mm where that does not certify it."""
-_DEVIATIONS = 3.0
-"""Standard deviations of the position that are added."""
 _MAX_CHANGE = 1e-3
 """Distance [m] by which a plan may be nearer to what is occupied than its goal, a goal nearer than
 a radius that is learnt, and the clearance fall where it is too small already."""
@@ -64,7 +63,7 @@ def needed_distance(situation: Situation, margin: Margin) -> float:
     be as near as is allowed: a plan to it has no margin that it lacks.
     """
     floor = situation.floor
-    beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation
+    beyond = margin.value * floor.radius + EXPECTED_DEVIATIONS * situation.place_deviation
     there = floor.least_distance(situation.goal.pose[POSITION]) - _MAX_CHANGE
     return min(situation.least_distance + beyond, max(there, situation.radius))
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from sphere_nmpc.model.course import Course, LegEnd
 from sphere_nmpc.model.disturbance import after_slope, is_zero, rest_speeds
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -49,9 +50,6 @@ _MAX_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
 _MIN_GAIN = 0.01
 """Time by which another choice has to be faster [s; for the robot of Table 1]."""
-_DEVIATIONS = 3.0
-"""Standard deviations of the estimate by which the sphere may be away from the end of a path that
-has been followed: where poses are noisy it would be corrected again and again."""
 _SAME_STATE_SHARE = 0.05
 """Difference from the predicted state that is nothing new, over the tolerance of the path."""
 
@@ -95,7 +93,8 @@ class PathFollowing:
         first, last = self.way - radius, self.way + _SEARCH_LENGTH * radius
         self.way = path.nearest(place, first, last)
         away = float(np.linalg.norm(place - path.places[-1]))
-        near = away <= _DEVIATIONS * situation.place_deviation
+        # Where poses are noisy the end would be corrected again and again.
+        near = away <= EXPECTED_DEVIATIONS * situation.place_deviation
         if near and self.way >= path.length - path.spacing:
             self._end = -math.inf
         return situation.time < self._end

@@ -163,11 +163,10 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     limit_library_threads()
-    rows = in_processes(
-        measured,
-        [(kind, options.seed, number) for kind in options.kinds for number in range(options.draw)],
-        options.jobs,
-    )
+    tasks = [
+        (kind, options.seed, number) for kind in options.kinds for number in range(options.draw)
+    ]
+    rows = list(in_processes(measured, tasks, options.jobs))
     print("kind       lists  failed  singles not settled  contacts  ratio p50  max")
     for kind in options.kinds:
         print(summary(kind, [one for one in rows if one["kind"] == kind]))

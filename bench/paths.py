@@ -195,7 +195,7 @@ def main() -> None:
     options = {**vars(given), "json": None}
     kinds = [each for kind in given.kinds for each in (GENTLE if kind == "gentle" else [kind])]
     tasks = [(kind, number, options) for kind in kinds for number in range(given.starts)]
-    rows = in_processes(measured, tasks, given.jobs)
+    rows = list(in_processes(measured, tasks, given.jobs))
     print(header(
         "path", "runs", "at the end", "rms [mm]: median / 90 % / worst", "largest [mm]",
         "at the end [mm]", "time over that of reference", "across Γ", "failed solves",

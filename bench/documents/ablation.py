@@ -27,7 +27,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from tables import header, in_processes, row
+from tables import UNDISTURBED, conditions_of, drawn, header, in_processes, row
 
 from sphere_nmpc.control import planner
 from sphere_nmpc.estimation import estimator
@@ -39,9 +39,9 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.perturbation import DisturbanceDraws
-from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.single_run import floor_of, run_scenario
+from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import cores
 
 
@@ -67,7 +67,6 @@ Numbers = TimeOptimalSettings | EstimatorSettings | Constants
 
 NEVER = 1.5
 """Settling time of a run that does not settle [of its length]."""
-_UNDISTURBED = DisturbanceDraws()
 
 
 @dataclass(frozen=True)
@@ -84,24 +83,19 @@ class Study:
     kind: str = "anywhere"
     percent: float = 3.0
     duration: float = 20.0
-    draws: DisturbanceDraws = _UNDISTURBED
+    draws: DisturbanceDraws = UNDISTURBED
     loose: bool = False
     result: str = "settle_time_s"
 
     @property
     def conditions(self) -> StudyConditions:
         """Conditions of the runs."""
-        pairs = [tuple(one.split("=")) for one in self.settings.split()]
-        plain = StudyConditions(duration=self.duration, perturbation=self.percent)
-        return plain.with_settings([(name, value) for name, value in pairs])
+        return conditions_of(self.settings, self.duration, self.percent)
 
     @property
     def scenarios(self) -> list[Scenario]:
         """Scenarios with their disturbances."""
-        given = self.conditions
-        floor, _ = floor_of(given.floor, given.robot.shell_radius)
-        drawn = draw_scenarios(self.runs, self.seed, self.kind, floor)
-        return [self.draws.applied_to(scenario) for scenario in drawn]
+        return drawn(self.conditions, self.runs, self.seed, self.kind, self.draws)
 
     @property
     def metric(self) -> str:
@@ -241,7 +235,7 @@ def settling(numbers: Numbers, studies: Studies, jobs: int) -> dict[Study, Vecto
         (numbers, study.conditions, scenario, study.metric)
         for study in studies for scenario in study.scenarios
     ]
-    runs = np.array(in_processes(measured, tasks, jobs))
+    runs = np.array(list(in_processes(measured, tasks, jobs)))
     never = [NEVER * study.duration for study in studies for _ in range(study.runs)]
     runs[:, 0] = np.where(np.isfinite(runs[:, 0]), runs[:, 0], never)
     ends = np.cumsum([study.runs for study in studies])

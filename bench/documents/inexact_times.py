@@ -169,7 +169,7 @@ def main() -> None:
     ]
     exact = [(s, "exact", "in time", rate, False, given.duration) for rate in given.rates
              for s in chosen]
-    results = in_processes(run, [*exact, *tasks], given.jobs)
+    results = list(in_processes(run, [*exact, *tasks], given.jobs))
     count = len(chosen)
     reference = {
         rate: np.array(results[k * count : (k + 1) * count])[:, 0]

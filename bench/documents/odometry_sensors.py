@@ -247,7 +247,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], choices=list(KINDS))
     given = parser.parse_args()
     kinds = given.only or list(KINDS)
-    every = in_processes(drives, [(kinds, seed) for seed in range(given.drives)], given.jobs)
+    tasks = [(kinds, seed) for seed in range(given.drives)]
+    every = list(in_processes(drives, tasks, given.jobs))
     print(f"{'NEES over degrees of freedom':28s}   end (median)  motion | at the end: position, "
           "orientation, heading | median errors; told")
     for kind in kinds:

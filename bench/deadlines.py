@@ -14,7 +14,8 @@ import math
 from pathlib import Path
 
 import numpy as np
-from node_runs import PATIENCE, Observer, machine, running, write_json
+from machine import machine, write_json
+from node_runs import PATIENCE, Observer, running
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import STRATEGIES

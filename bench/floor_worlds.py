@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_runs import machine, write_json
+from machine import machine, write_json
 from worlds import KINDS, SIDE, SPEED, draw_task, draw_world, integrated, longest_run
 
 from sphere_nmpc.floor.floor import Floor

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_runs import machine, write_json
+from machine import machine, write_json
 from worlds import draw_poses, draw_world, longest_run
 
 from sphere_nmpc.floor.floor import Floor

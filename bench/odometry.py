@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_runs import machine, write_json
+from machine import machine, write_json
 from odometry_drives import (
     FURTHER,
     INSTANTS,

@@ -23,7 +23,7 @@ from typing import Any
 sys.path.append(str(Path(__file__).parent / "documents"))
 
 import numpy as np
-from node_runs import machine, write_json
+from machine import machine, write_json
 from tables import header, in_processes, row
 from worlds import SPEED, integrated
 

@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 from geometry_msgs.msg import PoseStamped
-from node_runs import PATIENCE, Observer, machine, running, write_json
+from machine import machine, write_json
+from node_runs import PATIENCE, Observer, running
 from rclpy.serialization import deserialize_message
 
 from sphere_nmpc.model.rotation import random_quaternion

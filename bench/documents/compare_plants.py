@@ -17,7 +17,7 @@ import matplotlib
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from open_loops import KNOT_PERIOD, ROBOT, STEP, deviation, ramped, run
+from model_tables import KNOT_PERIOD, ROBOT, STEP, deviation, ramped, run
 from printed_model import PrintedModel
 from tables import conditions_of, header, row
 

@@ -4,12 +4,17 @@
 
 import argparse
 import multiprocessing
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
+sys.path.append(str(Path(__file__).parents[1]))
+
 import numpy as np
+from machine import machine, write_json
 from rich.console import Console
 from rich.progress import track
 
@@ -59,26 +64,28 @@ class Row(NamedTuple):
 class Table(NamedTuple):
     """A table of runs.
 
-    `rows` returns the rows for a number of runs, `run` makes one and returns what is judged, and
-    `cells` returns the further cells of a row from what its runs have returned.
+    `rows` returns the rows for a number of runs and a seed, `run` makes one and returns what is
+    judged, and `cells` returns the further cells of a row from what its runs have returned, and
+    those of the first row, with which it may be compared.
     """
 
     columns: tuple[str, ...]
-    rows: Callable[[int], Iterable[Row]]
+    rows: Callable[[int, int], Iterable[Row]]
     run: Callable[..., Any]
-    cells: Callable[[list[Any]], Iterable[object]]
+    cells: Callable[[list[Any], list[Any]], Iterable[object]]
     number: int = 1
     """Number of runs of a row, of robots or of the seeds of each case, where none is given."""
+    seed: int = 1
 
     def made(
-        self, number: int | None = None, jobs: int | None = None,
+        self, number: int | None = None, seed: int | None = None, jobs: int | None = None,
         changed: Callable[[Any], Any] = lambda argument: argument,
     ) -> Iterator[tuple[Row, list[Any]]]:
         """Yield each row with what its runs have returned, as soon as they are made.
 
         `changed` is applied to the arguments of each run.
         """
-        rows = list(self.rows(number or self.number))
+        rows = list(self.rows(number or self.number, self.seed if seed is None else seed))
         tasks = [tuple(map(changed, run)) for row in rows for run in row.runs]
         results = in_processes(self.run, tasks, jobs)
         for row in rows:
@@ -90,12 +97,15 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
     parser = argparse.ArgumentParser(
         description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", choices=tables)
+    if len(tables) > 1:
+        parser.add_argument("table", choices=tables)
     parser.add_argument("--runs", type=int, help="of a row; of each case, for those of the paper")
+    parser.add_argument("--seed", type=int, help="of what is drawn")
     parser.add_argument("--duration", type=float, help="of each run [s]")
     parser.add_argument("--set", type=assignment, nargs="+", default=[], metavar="NAME=VALUE",
                         help="as of study, in all runs")
     parser.add_argument("--jobs", type=int, help="processes; all cores by default")
+    parser.add_argument("--json", type=Path, help="file for the results of all runs")
     given = parser.parse_args()
     limit_library_threads()
 
@@ -105,10 +115,14 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
         conditions = argument.with_settings(given.set)
         return replace(conditions, duration=given.duration or conditions.duration)
 
-    table = tables[given.table]
+    table = tables[given.table] if len(tables) > 1 else next(iter(tables.values()))
     print(header(*table.columns), flush=True)
-    for line, found in table.made(given.runs, given.jobs, changed):
-        print(row(*line.names, *table.cells(found)), flush=True)
+    made: list[tuple[Row, list[Any]]] = []
+    for line, found in table.made(given.runs, given.seed, given.jobs, changed):
+        made.append((line, found))
+        print(row(*line.names, *table.cells(found, made[0][1])), flush=True)
+    rows = [{"names": line.names, "runs": found} for line, found in made]
+    write_json(given.json, {"machine": machine(), "rows": rows})
 
 
 def row(*cells: object) -> str:

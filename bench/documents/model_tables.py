@@ -1,15 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of plants and models on rotor speeds that ramp between knots, without a controller.
+"""Tables of plants and models on ramps of the rotor speeds, and of Algorithm 1 as printed.
 
-    python bench/documents/open_loops.py robots       # docs/rigid_body.md, robots of all sizes
-    python bench/documents/open_loops.py momentum     # docs/momentum.md, model with momentum
-
-`compare_plants.py` makes its figures of the same runs.
+    python bench/documents/model_tables.py robots       # docs/rigid_body.md, robots of all sizes
+    python bench/documents/model_tables.py momentum     # docs/momentum.md, model with momentum
+    python bench/documents/model_tables.py stability    # docs/model.md, Theorem 3 along its loops
 """
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -17,14 +17,27 @@ import numpy as np
 from sized_robots import ROBOTS
 from tables import Row, Table, drawn, median_and_worst, print_tables
 
+from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.model.disturbance import GRAVITY, UNDISTURBED, Disturbance, momentum_of_push
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, POSITION, Vector, without_momentum
+from sphere_nmpc.model.state import (
+    INPUT_SIZE,
+    MOMENTUM,
+    NO_MOMENTUM,
+    POSITION,
+    Vector,
+    upright_state,
+    without_momentum,
+)
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.solver.problem import SolverSettings
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.solver.solve import solve
+from sphere_sim.benchmark.problem import paper_problem, shifted
 from sphere_sim.evaluation.metrics import angle_errors
 from sphere_sim.scenario.perturbation import DisturbanceDraws
-from sphere_sim.scenario.scenarios import Scenario
+from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
@@ -70,22 +83,22 @@ _RAMPS, _STEPS = 10, 50
 """Ramps of a sequence, and steps of the simulator on each."""
 
 
-def _of_robots(number: int) -> Iterator[Row]:
+def _of_robots(number: int, seed: int) -> Iterator[Row]:
     for name, robot in ROBOTS.items():
         own = RigidBodySettings().for_robot(robot)
         about = (name, f"{own.drive_bandwidth:.0f}", f"{own.torque_limit:.3g}",
                  f"{1e3 * own.time_step:g}")
-        yield Row(about, [(robot, seed) for seed in range(number)])
+        yield Row(about, [(robot, seed, k) for k in range(number)])
 
 
-def _from_rolling(robot: RobotParameters, seed: int) -> tuple[float, float, float]:
+def _from_rolling(robot: RobotParameters, *seed: int) -> tuple[float, float, float]:
     """Return the largest distance [radii] and angle [rad] within a sequence.
 
     The rotor speeds are uniform in half their range, at which no robot here slips, on the
     shortest ramps allowed. The last is the friction at which a curve at full speed does not slip,
     to first order [-].
     """
-    limit, rng = 0.5 * robot.max_rotor_speed, np.random.default_rng([0, seed])
+    limit, rng = 0.5 * robot.max_rotor_speed, np.random.default_rng(seed)
     step = 2.0 * limit / robot.max_rotor_acceleration / _STEPS
     start = np.concatenate(([0.0, 0.0], random_quaternion(rng)))
     speeds = ramped(rng.uniform(-limit, limit, (_RAMPS, 2)), _STEPS)
@@ -96,7 +109,7 @@ def _from_rolling(robot: RobotParameters, seed: int) -> tuple[float, float, floa
     return distance / robot.shell_radius, angle, robot.shell_radius * rate**2 / GRAVITY
 
 
-def _cells_of_robots(found: list[Any]) -> list[str]:
+def _cells_of_robots(found: list[Any], _: object) -> list[str]:
     distances, angles, (friction, *_) = np.array(found).T
     return [*(median_and_worst(each, ".2g") for each in (distances, angles)), f"{friction:.2g}"]
 
@@ -118,11 +131,11 @@ _DISTURBANCES = {  # push [N s], slope [degree], offset [mm]
 }
 
 
-def _of_momentum(number: int) -> Iterator[Row]:
+def _of_momentum(number: int, seed: int) -> Iterator[Row]:
     for name, (push, slope, offset) in _DISTURBANCES.items():
         impulses = (push, push) if push else None
         draws = DisturbanceDraws(impulses, _PUSH_TIME, math.radians(slope), 1e-3 * offset)
-        scenarios = drawn(StudyConditions(), number, 0, draws=draws)
+        scenarios = drawn(StudyConditions(), number, seed, draws=draws)
         yield Row((name,), [(one,) for one in scenarios])
 
 
@@ -160,7 +173,7 @@ def _from_plants(scenario: Scenario) -> Vector:
     return np.array([deviation(*pair) for pair in pairs])
 
 
-def _cells_of_momentum(found: list[Vector]) -> list[str]:
+def _cells_of_momentum(found: list[Vector], _: object) -> list[str]:
     cells = []
     for pair in np.swapaxes(found, 0, 1):
         sizes = (of(pair, axis=0) for of in (np.median, np.max))
@@ -169,16 +182,73 @@ def _cells_of_momentum(found: list[Vector]) -> list[str]:
     return cells
 
 
+# Frequency with which Eq. (42), the conclusion of Theorem 3, holds along Algorithm 1.
+
+_PAPER = ControllerSettings(strategy="paper")
+_SAMPLES = 40
+"""Samples of a run, 20 s."""
+_HEADINGS = np.linspace(0.03, 2.5, 19)
+"""Errors of the heading alone [rad], from an upright start in place."""
+
+
+def _of_stability(number: int, seed: int) -> Iterator[Row]:
+    drawn_ones = drawn(StudyConditions(), number, seed)
+    upright = upright_state(0.0, 0.0, 0.0)
+    turned = [Scenario(upright, upright_state(0.0, 0.0, angle)) for angle in _HEADINGS]
+    runs = {f"case {case}": [scenario] for case, scenario in PAPER_CASES.items()}
+    runs |= {"random": drawn_ones, "upright, only the heading wrong": turned}
+    for name, scenarios in runs.items():
+        yield Row((name, len(scenarios)), [(one.start, one.goal) for one in scenarios])
+
+
+def _along_algorithm_1(start: Vector, goal: Vector) -> tuple[int, int, int, float]:
+    """Return how many steps of a run, started with u = 0 on the exact model, are outside of D.
+
+    For how many of them Eq. (42) holds and the error falls, and the time at which the run is
+    first inside [s], inf for one that is not.
+    """
+    limits = SolverSettings(max_iterations=_PAPER.max_iterations)
+    plant, monitor = RollingPlant(ROBOT, start), StabilityMonitor()
+    guess: Vector = np.zeros((_PAPER.horizon, INPUT_SIZE))
+    speeds, inside, beta = np.zeros(INPUT_SIZE), math.inf, _PAPER.terminal_weight
+    for k in range(_SAMPLES):
+        state, now = plant.state, k * _PAPER.period
+        problem = replace(paper_problem(state, goal, speeds), max_step=_PAPER.longest_step)
+        solution = solve(problem, guess, limits)
+        speeds, guess = solution.inputs[1], shifted(solution.inputs)
+        report = monitor.update(Sample(
+            time=now, state=state, goal=goal,
+            # The problem is over beta and lacks the stage cost of the state itself.
+            value=beta * solution.cost + float(np.sum((state - goal) ** 2)), next_input=speeds,
+            input_weight=_PAPER.alpha, terminal_weight=beta, max_speed=ROBOT.max_rotor_speed,
+        ))
+        inside = min(inside, now) if report.inside else inside
+        plant.advance(speeds, _PAPER.period)
+    judged = report.judged
+    return judged, judged - report.violations, judged - report.not_nearer, inside
+
+
+def _cells_of_stability(found: list[Any], _: object) -> list[object]:
+    *counts, inside = np.array(found).T
+    reached = inside[np.isfinite(inside)]
+    when = f"{min(reached):.1f} to {max(reached):.1f} s" if reached.size else "-"
+    return [*(int(count.sum()) for count in counts), reached.size, when]
+
+
 TABLES = {
     "robots": Table(
         ("radius", "bandwidth [rad/s]", "torque limit [N m]", "time step [ms]",
          "deviation, median (worst) [radii]", "angle [rad]", "friction needed at full speed"),
-        _of_robots, _from_rolling, _cells_of_robots, number=20,
+        _of_robots, _from_rolling, _cells_of_robots, number=20, seed=0,
     ),
     "momentum": Table(
         ("disturbance", "with momentum, from `rigid_body`: median (worst)",
          "with momentum, from `rolling`", "paper's model, from `rigid_body`"),
-        _of_momentum, _from_plants, _cells_of_momentum, number=100,
+        _of_momentum, _from_plants, _cells_of_momentum, number=100, seed=0,
+    ),
+    "stability": Table(
+        ("runs", "number", "steps outside D", "Eq. (42) holds", "error falls", "reach D", "after"),
+        _of_stability, _along_algorithm_1, _cells_of_stability, number=12,
     ),
 }
 

@@ -11,11 +11,15 @@ millisecond; on the ideal plant also along the path that the judge integrates by
 
 import argparse
 import itertools
+import sys
 from pathlib import Path
 from typing import Any
 
+sys.path.append(str(Path(__file__).parent / "documents"))
+
 import numpy as np
 from machine import machine, write_json
+from tables import conditions_of
 from worlds import KINDS, SIDE, SPEED, draw_task, draw_world, integrated, longest_run
 
 from sphere_nmpc.floor.floor import Floor
@@ -23,12 +27,11 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.reporting.conditions import Kind
-from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.closed_loop import Trajectory
 from sphere_sim.evaluation.metrics import state_errors, stay_below
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario
-from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.single_run import prepare
+from sphere_sim.study.single_run import closed_loop, prepare
 from sphere_sim.world.walls import walls_of
 
 _ROBOT = RobotParameters()
@@ -42,20 +45,16 @@ def run(kind: str, seed: int, gap: float | None, options: dict[str, Any]) -> dic
     world = draw_world(kind, rng, gap)
     floor = Floor(world.grid(), _ROBOT.shell_radius, options["clearance"])
     start, goal, length = draw_task(world, floor, rng)
-    settings = {"simulator.plant": options["plant"]}
-    if options["noise"]:
-        settings["simulator.position_noise"] = options["noise"]
-        settings["simulator.orientation_noise"] = 2.0 * options["noise"]
-    conditions = StudyConditions(
-        duration=longest_run(length), perturbation=options["perturb"]
-    ).with_settings([(name, str(value)) for name, value in settings.items()])
-    simulator, controller = prepare(conditions, Scenario(start, goal, seed))
+    conditions = conditions_of(
+        f"simulator.plant={options['plant']} simulator.position_noise={options['noise']} "
+        f"simulator.orientation_noise={2.0 * options['noise']}",
+        longest_run(length), options["perturb"],
+    )
+    scenario = Scenario(start, goal, seed)
+    made = simulator, controller = prepare(conditions, scenario)
     simulator.plant.surround(walls_of(floor.grid))
     controller.floor = floor
-    found = run_closed_loop(
-        simulator, controller, goal, conditions.duration, conditions.controller.control_period,
-        output_period=_STEP,
-    )
+    found = closed_loop(conditions, scenario, made, output_period=_STEP)
     robot = perturbed(
         conditions.robot, conditions.perturbation / 100.0, np.random.default_rng([seed, 2])
     )

@@ -24,23 +24,22 @@ sys.path.append(str(Path(__file__).parent / "documents"))
 
 import numpy as np
 from machine import machine, write_json
-from tables import header, in_processes, row
+from tables import conditions_of, header, in_processes, row
 from worlds import SPEED, integrated
 
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path as Curve
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_nmpc.process.library_threads import limit_library_threads
-from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.closed_loop import Trajectory
 from sphere_sim.evaluation.metrics import deviations, errors_to, measure_along, stay_below
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import GivenPath, Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import finite
-from sphere_sim.study.single_run import course_of, followed_inputs, prepare
+from sphere_sim.study.single_run import closed_loop, followed_inputs, prepare
 from sphere_sim.study.workers import cores
 
 _SPACING = 1e-3
@@ -111,37 +110,26 @@ def measured(kind: str, number: int, options: dict[str, Any]) -> dict[str, Any]:
     nodes = nodes_of(kind, rng)
     exact = exact_path(nodes, options["tolerance"])
     places = exact.places
-    settings = {
-        "simulator.plant": options["plant"], "simulator.position_noise": options["noise"],
-        "simulator.orientation_noise": 2.0 * options["noise"],
-        "controller.path_tolerance": options["tolerance"],
-    }
-    conditions = StudyConditions(
-        duration=10.0 + 2.0 * exact.length / (options["speed"] or SPEED),
-        perturbation=options["perturb"],
-    ).with_settings([(name, str(value)) for name, value in settings.items()])
+    conditions = conditions_of(
+        f"simulator.plant={options['plant']} simulator.position_noise={options['noise']} "
+        f"simulator.orientation_noise={2.0 * options['noise']} "
+        f"controller.path_tolerance={options['tolerance']}",
+        10.0 + 2.0 * exact.length / (options["speed"] or SPEED), options["perturb"],
+    )
     given = nodes if kind == "places" else np.vstack((places[:-1:_GIVEN], places[-1:]))
     path = GivenPath(given, Path(kind))
     scenario = Scenario(
         make_state(given[0], random_quaternion(rng)), path.end, int(rng.integers(2**31)),
         follows=path, path_speed=options["speed"],
     )
-
-    def run(course: Course) -> tuple[Trajectory, Controller]:
-        simulator, controller = prepare(conditions, scenario)
-        period = conditions.controller.control_period
-        found = run_closed_loop(
-            simulator, controller, course, conditions.duration, period, output_period=_STEP
-        )
-        return found, controller
-
-    found, controller = run(course_of(conditions, scenario))
+    made = _, controller = prepare(conditions, scenario)
+    found = closed_loop(conditions, scenario, made, output_period=_STEP)
     track, apart = judged_track(found, conditions, scenario)
     rms, largest, time = measure_along(found.times, track, [exact], _REACH)
     reference = exact.length / SPEED
     if kind == "places":
         stops = (Goal(make_state(place, path.end[2:]), Orientation.ANY) for place in nodes[1:])
-        listed, _ = run(Course.of(*stops))
+        listed = closed_loop(conditions, scenario, None, Course.of(*stops), _STEP)
         errors = errors_to(Goal(path.end, Orientation.ANY), listed.states)[:, 0]
         stay = stay_below(listed.times, errors)
         reference = np.nan if stay is None else stay.since

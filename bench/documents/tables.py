@@ -79,13 +79,15 @@ class Table(NamedTuple):
 
     def made(
         self, number: int | None = None, seed: int | None = None, jobs: int | None = None,
-        changed: Callable[[Any], Any] = lambda argument: argument,
+        only: Sequence[str] = (), changed: Callable[[Any], Any] = lambda argument: argument,
     ) -> Iterator[tuple[Row, list[Any]]]:
         """Yield each row with what its runs have returned, as soon as they are made.
 
-        `changed` is applied to the arguments of each run.
+        `changed` is applied to the arguments of each run. `only` are first names of rows; none
+        are all.
         """
         rows = list(self.rows(number or self.number, self.seed if seed is None else seed))
+        rows = [one for one in rows if not only or str(one.names[0]) in only]
         tasks = [tuple(map(changed, run)) for row in rows for run in row.runs]
         results = in_processes(self.run, tasks, jobs)
         for row in rows:
@@ -101,6 +103,7 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
         parser.add_argument("table", choices=tables)
     parser.add_argument("--runs", type=int, help="of a row; of each case, for those of the paper")
     parser.add_argument("--seed", type=int, help="of what is drawn")
+    parser.add_argument("--only", nargs="+", default=[], help="rows, by their first cells")
     parser.add_argument("--duration", type=float, help="of each run [s]")
     parser.add_argument("--set", type=assignment, nargs="+", default=[], metavar="NAME=VALUE",
                         help="as of study, in all runs")
@@ -118,7 +121,7 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
     table = tables[given.table] if len(tables) > 1 else next(iter(tables.values()))
     print(header(*table.columns), flush=True)
     made: list[tuple[Row, list[Any]]] = []
-    for line, found in table.made(given.runs, given.seed, given.jobs, changed):
+    for line, found in table.made(given.runs, given.seed, given.jobs, given.only, changed):
         made.append((line, found))
         print(row(*line.names, *table.cells(found, made[0][1])), flush=True)
     rows = [{"names": line.names, "runs": found} for line, found in made]

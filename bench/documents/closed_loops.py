@@ -73,7 +73,8 @@ CASES = Table(
 
 # Goals that each strategy reaches with robots from 3 cm to 1 m, drawn at random.
 
-_GOALS = 20
+_DRAWN = 12
+"""Robots that are drawn."""
 _ROBOTS_DURATION = 40.0
 """Length of a run [s] with the robot of Table 1. For another it is that in the time of the robot,
 and longer by the root of the ratio of radii for a smaller one, to which the goals are farther
@@ -83,13 +84,13 @@ away: half as long again as the slowest runs."""
 def _of_robots(number: int, seed: int) -> Iterator[Row]:
     robots = [robot for robot in ROBOTS.values() if robot != RobotParameters()]
     names = [name for name, robot in ROBOTS.items() if robot != RobotParameters()]
-    robots += [drawn_robot(seed + n) for n in range(number)]
-    for name, robot in zip([*names, *range(1, number + 1)], robots, strict=True):
+    robots += [drawn_robot(seed + n) for n in range(_DRAWN)]
+    for name, robot in zip([*names, *range(1, _DRAWN + 1)], robots, strict=True):
         units, speed = RobotUnits.of(robot), robot.max_rotor_speed
         plain = StudyConditions(
             _ROBOTS_DURATION * units.time * max(1.0, units.length**-0.5), robot=robot
         )
-        goals = drawn(plain, _GOALS, seed)
+        goals = drawn(plain, number, seed)
         period = ControllerSettings(strategy="paper").of(robot).period
         yield Row(
             (name, f"{robot.shell_radius:.3f}", f"{speed:.0f}",
@@ -100,14 +101,14 @@ def _of_robots(number: int, seed: int) -> Iterator[Row]:
 
 
 def _reached(found: list[float], _: object) -> list[str]:
-    counts = np.isfinite(np.reshape(found, (len(STRATEGIES), -1))).sum(axis=1)
-    return [f"{count} of {_GOALS}" for count in counts]
+    settled = np.isfinite(np.reshape(found, (len(STRATEGIES), -1)))
+    return [f"{count} of {settled.shape[1]}" for count in settled.sum(axis=1)]
 
 
 ROBOTS_DRAWN = Table(
     ("robot", "radius [m]", "largest speed [rad/s]", "ramp to it [s]", "T of `paper` [s]",
      *(f"`{name}`" for name in STRATEGIES)),
-    _of_robots, settling, _reached, number=12,
+    _of_robots, settling, _reached, number=20,
 )
 
 

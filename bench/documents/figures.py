@@ -1,10 +1,12 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of docs/momentum.md and docs/results.md.
+"""Figures of docs/momentum.md, docs/results.md and docs/floor.md.
 
     python bench/documents/figures.py holding --out docs/momentum.svg
-    python bench/paths.py --kinds circle eight s+0.50 --starts 1 --json out/paths.json
+    python bench/paths.py plain --only circle eight s+0.50 --runs 1 --json out/paths.json
     python bench/documents/figures.py paths out/paths.json --out docs/paths.png
+    python bench/floor_worlds.py kinds --runs 2 --json out/worlds.json
+    python bench/documents/figures.py worlds out/worlds.json --out docs/floor_gallery.png
     python bench/odometry.py --parts drift others --json out/drives.json
     python bench/documents/figures.py odometry out/drives.json --out docs/odometry.png
 
@@ -24,7 +26,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
 from tables import conditions_of
+from worlds import SIDE
 
 from sphere_nmpc.model.disturbance import (
     Disturbance,
@@ -159,7 +163,7 @@ def odometry(measured: dict[str, Any]) -> Figure:
 
 def paths(measured: dict[str, Any]) -> Figure:
     """Return the runs in the file of bench/paths.py that have a track."""
-    drawn = [row for row in measured["rows"] if "track" in row]
+    drawn = [run for row in measured["rows"] for run in row["runs"] if "track" in run]
     figure = Figure(figsize=(3.0 * len(drawn), 4.6), layout="constrained")
     above, below = figure.subplots(2, len(drawn), squeeze=False, height_ratios=(3.0, 2.0))
     for row, plane, error in zip(drawn, above, below, strict=True):
@@ -174,7 +178,32 @@ def paths(measured: dict[str, Any]) -> Figure:
     return figure
 
 
-OF_FILES: dict[str, Callable[[dict[str, Any]], Figure]] = {"odometry": odometry, "paths": paths}
+def worlds(measured: dict[str, Any]) -> Figure:
+    """Return the paths of the first dozen runs in the file of bench/floor_worlds.py, by seed."""
+    runs = [run for row in measured["rows"] for run in row["runs"]]
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    places = figure.subplots(3, 4).ravel()
+    for axes, run in zip(places, sorted(runs, key=lambda run: run["seed"]), strict=False):
+        for x0, y0, x1, y1 in run["walls"]:
+            axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color="0.35", lw=0))
+        for x, y, radius in run["discs"]:
+            axes.add_patch(Circle((x, y), radius, color="0.35", lw=0))
+        path = np.array(run["path"])
+        for place in path[:: max(1, len(path) // 60)]:
+            axes.add_patch(Circle(place, ROBOT.shell_radius, color=BLUE, alpha=0.08, lw=0))
+        axes.plot(*path.T, color=BLUE, linewidth=1.0)
+        axes.plot(*path[0], "o", color="tab:green", markersize=4)
+        axes.plot(*run["goal"][:2], "*", color=VERMILION, markersize=7)
+        axes.set(xlim=(0, SIDE), ylim=(0, SIDE), aspect="equal", xticks=[], yticks=[])
+        axes.set_title(f"{run['kind']} {run['seed']}")
+    for axes in places[len(runs) :]:
+        axes.set_axis_off()
+    return figure
+
+
+OF_FILES: dict[str, Callable[[dict[str, Any]], Figure]] = {
+    "odometry": odometry, "paths": paths, "worlds": worlds,
+}
 
 
 def main() -> None:

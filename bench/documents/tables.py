@@ -74,8 +74,10 @@ class Table(NamedTuple):
     run: Callable[..., Any]
     cells: Callable[[list[Any], list[Any]], Iterable[object]]
     number: int = 1
-    """Number of runs of a row, of robots or of the seeds of each case, where none is given."""
+    """Number of runs of a row, or of seeds of each case, where none is given."""
     seed: int = 1
+    has_total: bool = False
+    """Whether a row of all runs follows."""
 
     def made(
         self, number: int | None = None, seed: int | None = None, jobs: int | None = None,
@@ -105,6 +107,7 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
     parser.add_argument("--seed", type=int, help="of what is drawn")
     parser.add_argument("--only", nargs="+", default=[], help="rows, by their first cells")
     parser.add_argument("--duration", type=float, help="of each run [s]")
+    parser.add_argument("--perturb", type=float, help="as of study, in all runs [%%]")
     parser.add_argument("--set", type=assignment, nargs="+", default=[], metavar="NAME=VALUE",
                         help="as of study, in all runs")
     parser.add_argument("--jobs", type=int, help="processes; all cores by default")
@@ -116,7 +119,8 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
         if not isinstance(argument, StudyConditions):
             return argument
         conditions = argument.with_settings(given.set)
-        return replace(conditions, duration=given.duration or conditions.duration)
+        whole = {"duration": given.duration, "perturbation": given.perturb}
+        return replace(conditions, **{k: v for k, v in whole.items() if v is not None})
 
     table = tables[given.table] if len(tables) > 1 else next(iter(tables.values()))
     print(header(*table.columns), flush=True)
@@ -124,6 +128,9 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
     for line, found in table.made(given.runs, given.seed, given.jobs, given.only, changed):
         made.append((line, found))
         print(row(*line.names, *table.cells(found, made[0][1])), flush=True)
+    if table.has_total:
+        found = [run for _, runs in made for run in runs]
+        print(row("all", len(found), *table.cells(found, found)))
     rows = [{"names": line.names, "runs": found} for line, found in made]
     write_json(given.json, {"machine": machine(), "rows": rows})
 

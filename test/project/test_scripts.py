@@ -23,6 +23,7 @@ import lists
 import paths
 from documented_examples import EXAMPLES, forms, printed, run_example, section
 from parameter_tables import NODES, OF_ROBOT, PARTS, outputs, parameters_yaml
+from tables import conditions_of
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation import estimator
@@ -142,9 +143,9 @@ def test_judge_of_paths_has_exact_curves_and_finds_what_is_beside_them(kind) -> 
 
 @pytest.mark.slow
 def test_judge_of_paths_comes_where_the_plant_does() -> None:
-    options = {"seed": 1, "speed": 0.3, "tolerance": 0.02, "plant": "rolling", "perturb": 10.0,
-               "noise": 0.002}
-    found = paths.measured("line", 0, options)
+    settings = ("controller.path_speed=0.3 simulator.position_noise=0.002 "
+                "simulator.orientation_noise=0.004")
+    found = paths.measured(conditions_of(settings, 30.0, 10.0), "line", 1, 0)
     assert found["apart"] < 1e-6 and found["end"] < 0.02 and len(found["track"]) > 100
 
 

@@ -26,4 +26,9 @@ def write_json(path: Path | None, result: dict[str, Any]) -> None:
     """Write the result to the file of ``--json``, if it is given."""
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(result, indent=2, default=str) + "\n")
+        path.write_text(json.dumps(result, indent=2, default=_plain) + "\n")
+
+
+def _plain(value: Any) -> object:
+    """Return an array as lists, and anything else that JSON does not have as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -157,7 +157,7 @@ TABLE = Table(
     ("poses", "commands", "joint states",
      *(f"{rate} Hz: over exact times, worst (largest momentum [rad/s])" for rate in RATES),
      "longer than twice", "farther than at the start [m]", "final error, worst"),
-    _rows, run, _cells, number=3,
+    _rows, run, _cells, number=3, has_reference=True,
 )
 
 if __name__ == "__main__":

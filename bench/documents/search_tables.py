@@ -132,7 +132,7 @@ TABLES = {
     "goals": Table(
         ("goal", "settled", "over the best known motion: median, p90, worst",
          "over the full pose", "arrival off by, median, p95, p99 [s]"),
-        _of_goals, _settling, _cells_of_goals, number=100,
+        _of_goals, _settling, _cells_of_goals, number=100, has_reference=True,
     ),
 }
 

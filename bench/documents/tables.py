@@ -66,7 +66,7 @@ class Table(NamedTuple):
 
     `rows` returns the rows for a number of runs and a seed, `run` makes one and returns what is
     judged, and `cells` returns the further cells of a row from what its runs have returned, and
-    those of the first row, with which it may be compared.
+    those of the first row.
     """
 
     columns: tuple[str, ...]
@@ -76,6 +76,8 @@ class Table(NamedTuple):
     number: int = 1
     """Number of runs of a row, or of seeds of each case, where none is given."""
     seed: int = 1
+    has_reference: bool = False
+    """Whether the first row is made in any case, as others are compared with it."""
     has_total: bool = False
     """Whether a row of all runs follows."""
 
@@ -89,7 +91,11 @@ class Table(NamedTuple):
         are all.
         """
         rows = list(self.rows(number or self.number, self.seed if seed is None else seed))
-        rows = [one for one in rows if not only or str(one.names[0]) in only]
+        known = dict.fromkeys(str(one.names[0]) for one in rows)
+        if unknown := [name for name in only if name not in known]:
+            raise SystemExit(f"--only: given {unknown[0]!r}, expected one of {', '.join(known)}")
+        first = rows[0] if self.has_reference else None
+        rows = [one for one in rows if not only or str(one.names[0]) in only or one is first]
         tasks = [tuple(map(changed, run)) for row in rows for run in row.runs]
         results = in_processes(self.run, tasks, jobs)
         for row in rows:
@@ -97,7 +103,7 @@ class Table(NamedTuple):
 
 
 def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
-    """Print the table that the command line names, a row as soon as it is made."""
+    """Print the table that the command line names, a row as soon as it is made, and write it."""
     parser = argparse.ArgumentParser(
         description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -106,7 +112,7 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
     parser.add_argument("--runs", type=int, help="of a row; of each case, for those of the paper")
     parser.add_argument("--seed", type=int, help="of what is drawn")
     parser.add_argument("--only", nargs="+", default=[], help="rows, by their first cells")
-    parser.add_argument("--duration", type=float, help="of each run [s]")
+    parser.add_argument("--duration", type=float, help="of each run [s], where it is free")
     parser.add_argument("--perturb", type=float, help="as of study, in all runs [%%]")
     parser.add_argument("--set", type=assignment, nargs="+", default=[], metavar="NAME=VALUE",
                         help="as of study, in all runs")

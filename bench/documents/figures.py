@@ -1,8 +1,11 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of docs/momentum.md, docs/results.md and docs/floor.md.
+"""Figures of docs/momentum.md, docs/model.md, docs/results.md and docs/floor.md.
 
     python bench/documents/figures.py holding --out docs/momentum.svg
+    python bench/documents/model_tables.py integrator --json out/integrator.json
+    python bench/documents/figures.py integrator out/integrator.json \\
+        --out docs/integrator_convergence.svg
     python bench/paths.py plain --only circle eight s+0.50 --runs 1 --json out/paths.json
     python bench/documents/figures.py paths out/paths.json --out docs/paths.png
     python bench/floor_worlds.py kinds --runs 2 --json out/worlds.json
@@ -12,8 +15,9 @@
 
 `holding`: on the left the time at an upright goal from rotors at rest until one is at its limit.
 On the right the plant with contact at an upright goal: pushed at rest after it has rolled there,
-and on a slope until a rotor is at its limit. `paths`: tracks of the sphere along paths and their
-deviations. `odometry`: position errors over the way, by the odometry and by other methods.
+and on a slope until a rotor is at its limit. `integrator`: errors by number of steps. `paths`:
+tracks of the sphere along paths and their deviations. `odometry`: position errors over the way, by
+the odometry and by other methods.
 """
 
 import argparse
@@ -142,6 +146,26 @@ def holding(duration: float) -> Figure:
     return figure
 
 
+def integrator(measured: dict[str, Any]) -> Figure:
+    """Return the errors with random speeds in the file of `model_tables.py`."""
+    found = {row["names"][1]: row["runs"][0] for row in measured["rows"]
+             if row["names"][0] == "random"}
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for name, colour in (("CF4", BLUE), ("RK4", VERMILION)):
+        for k, line, about in ((0, "o-", "median"), (1, "o--", "99th percentile")):
+            errors = [run[name][k] for run in found.values()]
+            axes.loglog(list(found), errors, line, color=colour, label=f"{name}, {about}")
+    steps = np.array([8.0, 64.0])
+    axes.loglog(steps, 2e-5 * (steps / 8.0) ** -4, "k:", label="order 4")
+    axes.set_xticks(list(found), [str(n) for n in found])
+    axes.minorticks_off()
+    axes.set(ylim=(1e-10, 10.0), xlabel="steps in one sample period of 0.5 s",
+             ylabel="error of the state after it, in R$^6$")
+    axes.legend()
+    return figure
+
+
 def odometry(measured: dict[str, Any]) -> Figure:
     """Return the errors of the file of bench/odometry.py."""
     figure = Figure(figsize=(8.6, 3.3), layout="constrained")
@@ -196,13 +220,14 @@ def worlds(measured: dict[str, Any]) -> Figure:
         axes.plot(*run["goal"][:2], "*", color=VERMILION, markersize=7)
         axes.set(xlim=(0, SIDE), ylim=(0, SIDE), aspect="equal", xticks=[], yticks=[])
         axes.set_title(f"{run['kind']} {run['seed']}")
+        axes.spines[:].set_visible(True)
     for axes in places[len(runs) :]:
         axes.set_axis_off()
     return figure
 
 
 OF_FILES: dict[str, Callable[[dict[str, Any]], Figure]] = {
-    "odometry": odometry, "paths": paths, "worlds": worlds,
+    "integrator": integrator, "odometry": odometry, "paths": paths, "worlds": worlds,
 }
 
 

@@ -1,24 +1,29 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of plants and models on ramps of the rotor speeds, and of Algorithm 1 as printed.
+"""Tables of plants, models and integrators on ramps of the rotor speeds, and of Algorithm 1.
 
     python bench/documents/model_tables.py robots       # docs/rigid_body.md, robots of all sizes
     python bench/documents/model_tables.py momentum     # docs/momentum.md, model with momentum
     python bench/documents/model_tables.py stability    # docs/model.md, Theorem 3 along its loops
+    python bench/documents/model_tables.py integrator   # docs/model.md, error by number of steps
 """
 
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from sized_robots import ROBOTS
 from tables import Row, Table, drawn, median_and_worst, print_tables
 
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
 from sphere_nmpc.model.disturbance import GRAVITY, UNDISTURBED, Disturbance, momentum_of_push
+from sphere_nmpc.model.dynamics import state_rate
+from sphere_nmpc.model.integrator import step_function
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import (
@@ -26,6 +31,7 @@ from sphere_nmpc.model.state import (
     MOMENTUM,
     NO_MOMENTUM,
     POSITION,
+    QUATERNION,
     Vector,
     upright_state,
     without_momentum,
@@ -235,6 +241,78 @@ def _cells_of_stability(found: list[Any], _: object) -> list[object]:
     return [*(int(count.sum()) for count in counts), reached.size, when]
 
 
+# Error of the integrators over one sample period, by the number of steps.
+
+_PERIOD, _TRUTH_STEPS = 0.5, 400
+
+
+@cache
+def _runge_kutta_step() -> ca.Function:
+    """Return the classical method of order four on R^6, with the signature of the other one."""
+    x, p, h = ca.SX.sym("x", 6), ca.SX.sym("p", 4), ca.SX.sym("h")
+    u_start, u_end = ca.SX.sym("u_start", 2), ca.SX.sym("u_end", 2)
+    middle = 0.5 * (u_start + u_end)
+    k1 = state_rate(x, u_start, p)
+    k2 = state_rate(x + 0.5 * h * k1, middle, p)
+    k3 = state_rate(x + 0.5 * h * k2, middle, p)
+    k4 = state_rate(x + h * k3, u_end, p)
+    end = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function("rk4_step", [x, u_start, u_end, h, p], [end])
+
+
+_METHODS = {"CF4": step_function, "RK4": _runge_kutta_step}
+"""The Lie-group method, with which both are compared at many steps, and the other one."""
+
+
+def _of_integrator(number: int, seed: int) -> Iterator[Row]:
+    for speeds in ("random", "full"):
+        for steps in (2, 3, 4, 5, 8, 10, 16, 20, 32, 64):
+            yield Row((speeds, steps), [(speeds, steps, number, seed)])
+
+
+@cache
+def _ends(method: str, speeds: str, steps: int, number: int, seed: int) -> Vector:
+    """Return the states after the interval, shape (6, K).
+
+    Orientations are uniform on SO(3), rotor speeds uniform in +-100 rad/s at both ends, or full.
+    """
+    rng = np.random.default_rng(seed)
+    quaternions = rng.normal(size=(4, number))
+    x = np.vstack((np.zeros((2, number)), quaternions / np.linalg.norm(quaternions, axis=0)))
+    first, last = rng.uniform(-100.0, 100.0, size=(2, 2, number))
+    if speeds == "full":
+        first = last = 100.0 * np.sign(last)
+    many, p = _METHODS[method]().map(number), ROBOT.lumped.as_array()
+    for i in range(steps):
+        here, there = (first + (last - first) * (k / steps) for k in (i, i + 1))
+        x = np.array(many(x, here, there, _PERIOD / steps, p))
+    return x
+
+
+def _errors(speeds: str, steps: int, *drawn: int) -> dict[str, list[float]]:
+    """Return median, 99 % and worst error, the order by twice the steps, and the 99 % of |q| - 1.
+
+    By method.
+    """
+    truth, found = _ends("CF4", speeds, _TRUTH_STEPS, *drawn), {}
+    for name in _METHODS:
+        ends = _ends(name, speeds, steps, *drawn)
+        error, finer = (np.linalg.norm(one - truth, axis=0) for one in (
+            ends, _ends(name, speeds, 2 * steps, *drawn)
+        ))
+        norm = np.abs(np.linalg.norm(ends[QUATERNION], axis=0) - 1.0)
+        found[name] = [
+            *np.quantile(error, [0.5, 0.99, 1.0]).tolist(),
+            float(np.log2(np.median(error) / np.median(finer))), float(np.quantile(norm, 0.99)),
+        ]
+    return found
+
+
+def _cells_of_integrator(found: list[Any], _: object) -> Iterator[str]:
+    for *errors, order, norm in found[0].values():
+        yield from (*(f"{error:.1e}" for error in errors), f"{order:.2f}", f"{norm:.0e}")
+
+
 TABLES = {
     "robots": Table(
         ("radius", "bandwidth [rad/s]", "torque limit [N m]", "time step [ms]",
@@ -249,6 +327,11 @@ TABLES = {
     "stability": Table(
         ("runs", "number", "steps outside D", "Eq. (42) holds", "error falls", "reach D", "after"),
         _of_stability, _along_algorithm_1, _cells_of_stability, number=12,
+    ),
+    "integrator": Table(
+        ("rotor speeds", "steps", *(f"{name} {each}" for name in _METHODS for each in (
+            "median", "p99", "worst", "order", "norm of q off by, p99"))),
+        _of_integrator, _errors, _cells_of_integrator, number=2000, seed=0,
     ),
 }
 

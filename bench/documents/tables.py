@@ -101,9 +101,21 @@ class Table(NamedTuple):
         for row in rows:
             yield row, [next(results) for _ in row.runs]
 
+    def printed(self, *options: Any, **named: Any) -> list[tuple[Row, list[Any]]]:
+        """Print the table, a row as soon as it is made, and return what `made` yields."""
+        print(header(*self.columns), flush=True)
+        made: list[tuple[Row, list[Any]]] = []
+        for line, found in self.made(*options, **named):
+            made.append((line, found))
+            print(row(*line.names, *self.cells(found, made[0][1])), flush=True)
+        if self.has_total:
+            found = [run for _, runs in made for run in runs]
+            print(row("all", len(found), *self.cells(found, found)))
+        return made
+
 
 def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
-    """Print the table that the command line names, a row as soon as it is made, and write it."""
+    """Print the table that the command line names, and write its results."""
     parser = argparse.ArgumentParser(
         description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -129,14 +141,7 @@ def print_tables(tables: Mapping[str, Table], about: str | None) -> None:
         return replace(conditions, **{k: v for k, v in whole.items() if v is not None})
 
     table = tables[given.table] if len(tables) > 1 else next(iter(tables.values()))
-    print(header(*table.columns), flush=True)
-    made: list[tuple[Row, list[Any]]] = []
-    for line, found in table.made(given.runs, given.seed, given.jobs, given.only, changed):
-        made.append((line, found))
-        print(row(*line.names, *table.cells(found, made[0][1])), flush=True)
-    if table.has_total:
-        found = [run for _, runs in made for run in runs]
-        print(row("all", len(found), *table.cells(found, found)))
+    made = table.printed(given.runs, given.seed, given.jobs, given.only, changed)
     rows = [{"names": line.names, "runs": found} for line, found in made]
     write_json(given.json, {"machine": machine(), "rows": rows})
 

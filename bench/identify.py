@@ -24,13 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
-from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
 from sphere_sim.identification.bag import Recorded
 from sphere_sim.identification.drives import Commands
@@ -38,6 +36,8 @@ from sphere_sim.identification.identify import Given, Identified, identified
 from sphere_sim.identification.inertial import Readings
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import assemble, closed_loop
 from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
@@ -190,19 +190,15 @@ def drive(seed: int, goals: int) -> None:
     for name, robot in (
         ("given", drawn.given), ("identified", found.robot), ("true", drawn.robot)
     ):
-        settings = ControllerSettings(learning=False).of(robot)
+        learns_nothing = ControllerSettings(learning=False)
+        conditions = StudyConditions(15.0, robot=robot, controller=learns_nothing)
         rows = []
         for case in draw_scenarios(goals, seed):
-            world = SimulatorSettings(initial_state=tuple(case.start), seed=case.seed)
-            goal = np.asarray(case.goal)
-            run = run_closed_loop(
-                Simulator(world, drawn.robot), Controller(settings, robot), goal, 15.0,
-                settings.control_period,
-            )
-            left = position_errors(run.states, goal)
+            run = closed_loop(conditions, case, assemble(conditions, case, drawn.robot))
+            left = position_errors(run.states, case.goal)
             late = np.flatnonzero(left > 0.01)
             settled = run.times[late[-1]] if late[-1] + 1 < left.size else math.inf
-            turned = np.degrees(angle_errors(run.states, goal)[-1])
+            turned = np.degrees(angle_errors(run.states, case.goal)[-1])
             rows.append((settled, 1e3 * left[-1], turned))
         (time, place, turn), count = np.median(rows, axis=0), sum(row[0] < 15.0 for row in rows)
         print(f"{name:12} settled {count} of {goals}, after {time:.2f} s; at the end "

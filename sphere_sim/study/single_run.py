@@ -95,6 +95,23 @@ def course_of(conditions: StudyConditions, scenario: Scenario) -> Course:
     return scenario.course(conditions.controller.path_tolerance, conditions.robot.shell_radius)
 
 
+def closed_loop(
+    conditions: StudyConditions, scenario: Scenario,
+    made: tuple[Simulator, Controller] | None = None, goal: Goal | Course | None = None,
+    output_period: float = 0.01, poses: OdometryPoses | None = None,
+) -> Trajectory:
+    """Make the run of a scenario, by default with what `prepare` returns and its own course.
+
+    For `output_period` and `poses` see `run_closed_loop`.
+    """
+    simulator, controller = made or prepare(conditions, scenario)
+    return run_closed_loop(
+        simulator, controller, course_of(conditions, scenario) if goal is None else goal,
+        conditions.duration, conditions.controller.control_period, output_period,
+        conditions.latency, scenario.push, poses,
+    )
+
+
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     """Run a scenario and evaluate the run.
 
@@ -108,11 +125,8 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         poses = None if simulator.imu is None else OdometryPoses(
             simulator, simulator.imu, conditions.odometry, conditions.robot
         )
-        trajectory = run_closed_loop(
-            simulator, controller, course, conditions.duration,
-            conditions.controller.control_period, latency=conditions.latency, push=scenario.push,
-            poses=poses,
-        )
+        made = simulator, controller
+        trajectory = closed_loop(conditions, scenario, made, course, poses=poses)
         inputs = followed_inputs(trajectory.holds, conditions.duration)
         results = _results(trajectory, course.goals[-1], inputs)
         results |= _along(trajectory, course, conditions.robot.shell_radius)

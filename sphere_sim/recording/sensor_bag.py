@@ -3,7 +3,7 @@
 """Bag with what an odometry gets: readings of an IMU and of encoders, poses measured elsewhere."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
 from sphere_nmpc.quantity import LARGEST, counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
+from sphere_sim.evaluation.series import Series
 from sphere_sim.recording.bag_clock import BagClock
 from sphere_sim.recording.bag_files import BagError, full_topic_name
 from sphere_sim.recording.message_fields import TRUE_POSE
@@ -58,11 +59,11 @@ class SensorBag:
         """Return log times [ns] and records of a topic, in their order."""
         return self.messages.decoded.get(topic, [])
 
-    def events(self) -> tuple[list[Event], dict[str, tuple[Vector, Vector]]]:
+    def events(self) -> tuple[list[Event], dict[str, Series]]:
         """Return what an odometry gets, as it was logged, and poses to compare it with.
 
-        The latter are times [s] and states, shape (n, 6), by topic: the reference and the fixes.
-        Times are those of the stamps, or of the log where these cannot be used.
+        The latter are by topic: the reference and the fixes. Times are those of the stamps, or of
+        the log where these cannot be used.
         """
         readings = self.of(self.imu)
         try:
@@ -82,20 +83,20 @@ class SensorBag:
         clock = BagClock([readings[i][0] for i in kept], stamps)
         found = [(readings[i][0], (clock.time_of_stamp(stamp), self.imu, readings[i][1]))
                  for i, stamp in zip(kept, stamps, strict=True)]
-        poses = [_nearest(self.imu, [it for it in self.messages.decoded if _last(it) == kind])
-                 for kind in (FIX, PLACED)]
+        own = [_nearest(self.imu, [it for it in self.messages.decoded if _last(it) == kind])
+               for kind in (FIX, PLACED)]
         compared = {}
-        for topic in filter(None, dict.fromkeys((self.joints, *poses, self.reference))):
+        for topic in filter(None, dict.fromkeys((self.joints, *own, self.reference))):
             times = self._times(clock, topic)
             if topic != self.reference:
                 found += [(log, (time, topic, record)) for time, (log, record)
                           in zip(times.tolist(), self.of(topic), strict=True)]
-            if topic in (poses[0], self.reference):
+            if topic in (own[0], self.reference):
                 given = [record.state for _, record in self.of(topic)]
                 states: Vector = np.array(given, dtype=float).reshape(-1, POSE_SIZE)
-                times, first = np.unique(times, return_index=True)
-                usable = are_states(states[first])
-                compared[topic] = times[usable], without_sign_jumps(states[first][usable])
+                poses = Series.of_numbers(times, states)
+                poses = poses.where(are_states(poses.values))
+                compared[topic] = replace(poses, values=without_sign_jumps(poses.values))
         found.sort(key=lambda entry: entry[0])
         return [event for _, event in found], compared
 

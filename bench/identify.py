@@ -149,7 +149,8 @@ class Drawn:
         commands = Series(at - self.lag, wanted[place])
         return Recorded(
             Series(at + self.late, np.array(poses)), Series(at, noisy), Series(), True,
-            self.robot.shell_radius, Commands.of_speeds(commands), inertial, {}, [],
+            self.robot.shell_radius, Commands.of_speeds(commands), inertial,
+            "/controller", {}, [],
         )
 
 

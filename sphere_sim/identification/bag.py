@@ -5,7 +5,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,8 +15,9 @@ from sphere_sim.evaluation.series import RobotSeries, Series
 from sphere_sim.identification.drives import Commands
 from sphere_sim.identification.inertial import Readings
 from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, object_of
+from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.node_parameters import bag_parameters
 from sphere_sim.recording.poses import read_poses
 from sphere_sim.recording.run_reader import TopicReader
 from sphere_sim.recording.topic_roles import Robot, find_robot, is_read
@@ -41,8 +41,10 @@ class Recorded(RobotSeries):
     commands : Commands, optional
     readings : Readings, optional
         Those of the IMU.
-    parameters : dict
-        Parameters of the controller in the bag, by name.
+    controller : str
+        Full name of the node of the controller.
+    parameters : dict of str to str
+        Texts of its parameters in the bag, by name.
     notes : list of str
         What is missing or invalid in the bag.
     """
@@ -51,7 +53,8 @@ class Recorded(RobotSeries):
     height: float
     commands: Commands | None
     readings: Readings | None
-    parameters: dict[str, Any]
+    controller: str
+    parameters: dict[str, str]
     notes: list[str]
 
 
@@ -87,8 +90,7 @@ def read_recorded(path: Path, namespace: str | None, pose_topic: str | None) -> 
         poses, known or _speeds_of_angles(messages, robot, clock), torques,
         bool(poses) and not (is_inside and pose_topic is None), height,
         _commands(messages, robot, clock, reader), _readings(messages, own, clock),
-        object_of(messages.custom_data.get(f"{PARAMETERS_PREFIX}{robot.controller}", "")),
-        messages.notes,
+        robot.controller, bag_parameters(messages.custom_data, robot.controller), messages.notes,
     )
 
 

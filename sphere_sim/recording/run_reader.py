@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`."""
 
-import dataclasses
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +25,7 @@ from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.evaluation.series import Series
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock, stand_still
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, object_of, storage_name
+from sphere_sim.recording.bag_files import BagError, storage_name
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     CONTACTS,
@@ -37,6 +36,7 @@ from sphere_sim.recording.message_fields import (
     reported_solve,
 )
 from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.node_parameters import bag_parameters, with_parameters
 from sphere_sim.recording.poses import read_poses
 from sphere_sim.recording.run import Run, setup_text, without_sign_jumps
 from sphere_sim.recording.topic_roles import Robot, find_robot, is_read
@@ -77,7 +77,7 @@ def read_run(
     reader = TopicReader(messages, robot, clock)
     speeds, torques = reader.joint_states()
     goals = reader.goals(poses.times)
-    known_parameters = _recorded_parameters(messages.custom_data, robot.controller)
+    known_parameters = bag_parameters(messages.custom_data, robot.controller)
     parameters = _recorded_robot(known_parameters)
     solves, plans = reader.solves(), reader.plans()
     momentum, disturbances = reader.momentum(parameters)
@@ -94,18 +94,10 @@ def read_run(
     )
 
 
-def _recorded_parameters(custom_data: dict[str, str], node: str) -> dict[str, Any]:
-    """Return the recorded parameters of a node; empty where the bag does not have them."""
-    return object_of(custom_data.get(f"{PARAMETERS_PREFIX}{node}", ""))
-
-
-def _recorded_robot(values: dict[str, Any]) -> RobotParameters:
+def _recorded_robot(texts: Mapping[str, str]) -> RobotParameters:
     """Return the robot that the parameters ``robot.*`` describe; the default one if not valid."""
-    names = [entry.name for entry in dataclasses.fields(RobotParameters)]
     try:
-        return RobotParameters(
-            **{name: values[f"robot.{name}"] for name in names if f"robot.{name}" in values}
-        )
+        return with_parameters(RobotParameters(), texts, "robot.")
     except InvalidParameterError:
         return RobotParameters()
 
@@ -119,18 +111,18 @@ class TopicReader:
         self._joint_states, self._trajectory = robot.joint_states, robot.rotor_trajectory
         self._undated: Counter[str] = Counter()
 
-    def setup(self, parameters: dict[str, Any], robot: RobotParameters) -> str:
+    def setup(self, parameters: Mapping[str, str], robot: RobotParameters) -> str:
         """Return strategy, robot and plant in words, given the controller's parameters."""
         used = [values.get("strategy", "") for _, values in self._statuses]
         strategies = list(dict.fromkeys(filter(None, used))) or [parameters.get("strategy", "")]
         simulator = f"{self._robot}/simulator"
-        plant = _recorded_parameters(self._messages.custom_data, simulator).get("plant", "")
+        plant = bag_parameters(self._messages.custom_data, simulator).get("plant", "")
         radius, speed = (
             getattr(robot, name) if f"robot.{name}" in parameters else math.nan
             for name in ("shell_radius", "max_rotor_speed")
         )
-        strategy = cut(", then ".join(map(str, strategies)), _LONGEST_STRATEGY)
-        return setup_text(strategy, radius, speed, cut(str(plant), _LONGEST_STRATEGY))
+        strategy = cut(", then ".join(strategies), _LONGEST_STRATEGY)
+        return setup_text(strategy, radius, speed, cut(plant, _LONGEST_STRATEGY))
 
     def joint_states(self) -> tuple[Series, Series]:
         """Return the rotor speeds [rad/s] and torques [N m]."""

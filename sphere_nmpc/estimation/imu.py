@@ -12,10 +12,9 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import quantity, validate
 
-NO_GRAVITY = 0.8
-"""Norm of the specific force at rest [m/s^2] below which gravity has been removed."""
+GRAVITY_REMOVED = "gravity removed"
 _CONVENTIONS = (
-    (0.0, NO_GRAVITY, "gravity removed"), (NO_GRAVITY, 1.2, "in g"), (31.5, 32.9, "in ft/s^2"),
+    (0.0, 0.8, GRAVITY_REMOVED), (0.8, 1.2, "in g"), (31.5, 32.9, "in ft/s^2"),
     (950.0, 992.0, "in cm/s^2"), (992.0, 1050.0, "in mg"), (9.4e3, 1.02e4, "in mm/s^2"),
     (18.6, 20.6, "gravity added twice"),
     *((0.97 * counts, 1.03 * counts, "in raw counts") for counts in (2048, 4096, 8192, 16384)),

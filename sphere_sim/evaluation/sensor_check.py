@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.estimation.imu import NO_GRAVITY, ImuSettings, convention_of
+from sphere_nmpc.estimation.imu import GRAVITY_REMOVED, ImuSettings, convention_of
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import QUATERNION, Vector
@@ -179,7 +179,7 @@ def _inertial(imu: Sensor, pose: Sensor | None, settings: ImuSettings) -> Iterat
     yield _gravity(norm, settings)
     if not moved.any():
         mean = readings.mean(axis=0)
-        if norm >= NO_GRAVITY:
+        if convention_of(norm) != GRAVITY_REMOVED:
             yield _vertical(settings.turn @ mean[3:] / np.linalg.norm(mean[3:]), pose)
         yield from _errors(mean, blocks, settings)
 

@@ -15,7 +15,7 @@ from sphere_sim.evaluation.series import RobotSeries, Series
 from sphere_sim.identification.drives import Commands
 from sphere_sim.identification.inertial import Readings
 from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.bag_files import BagError
+from sphere_sim.recording.bag_files import BagError, last_part
 from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.node_parameters import bag_parameters
 from sphere_sim.recording.poses import read_poses
@@ -62,13 +62,11 @@ def read_recorded(path: Path, namespace: str | None, pose_topic: str | None) -> 
     """Read the bag of one robot; for the errors see `sphere_sim.recording.run_reader.read_run`."""
     messages = read_messages(path, lambda topic, kind: (
         is_read(topic, kind) or kind == _IMU
-        or (kind == _NUMBERS and topic.rpartition("/")[2] == _COMMANDS)
+        or (kind == _NUMBERS and last_part(topic) == _COMMANDS)
     ))
-    has_poses = any(
-        kind == cdr.TYPES[cdr.Pose] and topic.endswith("pose") and not topic.endswith("goal_pose")
-        and topic in messages.decoded for topic, kind in messages.types.items()
-    )
-    if has_poses or pose_topic is not None:
+    poses_on = [topic for topic in messages.recorded(cdr.TYPES[cdr.Pose])
+                if topic.endswith("pose") and not topic.endswith("goal_pose")]
+    if poses_on or pose_topic is not None:
         robot = find_robot(messages, namespace, pose_topic)
         clock, poses = read_poses(messages, robot.pose)
         height = float(messages.decoded[robot.pose][0][1].numbers[2])
@@ -125,13 +123,12 @@ def _commands(
 
 def _readings(messages: Messages, namespace: str, clock: BagClock) -> Readings | None:
     """Return the readings of the IMU in a namespace, or of the only one."""
-    topics = [topic for topic, kind in messages.types.items()
-              if kind == _IMU and topic in messages.decoded]
+    topics = messages.recorded(_IMU)
     own = [topic for topic in topics if topic == f"{namespace}/imu"] or topics
     if not own:
         return None
     if len(own) > 1:
-        messages.notes.append(f"{', '.join(sorted(own))}: several IMUs, none is used")
+        messages.notes.append(f"{', '.join(own)}: several IMUs, none is used")
         return None
     found = _series((
         (clock.time_of_stamp(one.stamp), *one.rate, *one.force)

@@ -388,12 +388,6 @@ class SimulatorNode(GuardedNode):
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(SimulatorNode, args, _ABOUT)
+    return run(SimulatorNode, args, __doc__ or "")

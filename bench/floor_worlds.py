@@ -55,8 +55,8 @@ def run(conditions: StudyConditions, kind: str, seed: int, gap: float | None) ->
     apart = 0.0
     if conditions.simulator.plant == "rolling" and not simulator.touches:
         # Until the rotors rest for good.
-        moving = int(np.flatnonzero(found.speeds.any(axis=1))[-1]) + 2
-        times, speeds = found.times[:moving], found.speeds[:moving]
+        moving = int(np.flatnonzero(found.rotor_speeds.values.any(axis=1))[-1]) + 2
+        times, speeds = found.times[:moving], found.rotor_speeds.values[:moving]
         own = integrated(start, times, speeds, robot.lumped)
         apart = float(np.linalg.norm(own - found.states[:moving, POSITION], axis=1).max())
         least = min(least, float(world.distances(own).min()) - robot.shell_radius)

@@ -30,6 +30,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.bag import Recorded
 from sphere_sim.identification.drives import Commands
 from sphere_sim.identification.identify import Given, Identified, identified
@@ -145,9 +146,11 @@ class Drawn:
             np.array([one.rate for one in readings]), np.array([one.force for one in readings]),
         ) if readings else None
         noisy = np.array(speeds) + self._speed_noise * rng.normal(size=(at.size, 2))
+        commands = Series(at - self.lag, wanted[place])
         return Recorded(
-            at + self.late, np.array(poses), True, self.robot.shell_radius, at, noisy,
-            Commands.of_speeds(at - self.lag, wanted[place]), inertial, {}, [],
+            Series(at + self.late, np.array(poses)), Series(at, noisy), Series(), True,
+            self.robot.shell_radius, Commands.of_speeds(commands), inertial,
+            "/controller", {}, [],
         )
 
 
@@ -176,7 +179,7 @@ def one(number: int, arguments: argparse.Namespace) -> dict[str, Any]:
         arguments.imu or arguments.inside, inside=arguments.inside,
     )
     found = identified(drawn.recorded, Given(drawn.given, imu=drawn.known_imu))
-    away = np.linalg.norm(drawn.recorded.poses[:, :2], axis=1)
+    away = np.linalg.norm(drawn.recorded.states[:, :2], axis=1)
     return {"errors": errors(drawn, found), "reach": float(np.max(away)), "check": found.check}
 
 

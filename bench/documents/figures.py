@@ -119,7 +119,8 @@ def draw_run(found: Trajectory, error: Axes, speed: Axes, name: str) -> None:
     samples = ControllerSettings().control_period * np.arange(len(found.decisions))
     rest = np.array([rest_speeds(d.momentum, GOAL[QUATERNION]) for d in found.decisions])
     for rotor, colour in enumerate(ROTORS):
-        speed.plot(found.times, found.speeds[:, rotor], color=colour, label=f"rotor {rotor + 1}")
+        values = found.rotor_speeds.values[:, rotor]
+        speed.plot(found.times, values, color=colour, label=f"rotor {rotor + 1}")
         speed.plot(samples, rest[:, rotor], color=colour, linestyle="--",
                    label=f"rotor {rotor + 1}, speed of rest")
     limit = ROBOT.max_rotor_speed

@@ -98,10 +98,6 @@ class Grid:
         finer = np.repeat(np.repeat(self.occupied, factor, axis=0), factor, axis=1)
         return Grid(finer, self.resolution / factor, self.origin)
 
-    def with_obstacle(self, polygon: Vector) -> "Grid":
-        """Return the grid with the cells occupied that a polygon, shape (K, 2) [m], touches."""
-        return self.with_runs([touched_runs(self, polygon)])
-
     def within(self, polygon: Vector) -> "Grid":
         """Return the grid with the cells occupied that are not wholly inside a polygon [m]."""
         edge, inside = _runs_of(self, polygon)

@@ -65,6 +65,10 @@ class Pose(NamedTuple):
         x, y, _, qx, qy, qz, qw = self.numbers
         return x, y, qw, qx, qy, qz
 
+    def in_frame(self, frame: str) -> Vector:
+        """Return the state, shape (6,); see `pose_in_frame`."""
+        return pose_in_frame(self.numbers, self.frame, frame)
+
 
 class UncertainPose(NamedTuple):
     """Stamped pose with the covariance of x, y, z [m] and turns about the fixed axes [rad].
@@ -356,12 +360,6 @@ def imu_message(
         stamp, frame, 0.0, 0.0, 0.0, 1.0, -1.0, *(0.0,) * 8, *rate.tolist(), *turning,
         *force.tolist(), *pulling,
     )
-
-
-def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
-    """Return the state, shape (6,), of a serialised PoseStamped; see `pose_in_frame`."""
-    _, given, numbers = fields(raw, Pose)
-    return pose_in_frame(numbers, given, frame)
 
 
 def pose_in_frame(numbers: tuple[float, ...], given: str, frame: str) -> Vector:

@@ -14,6 +14,7 @@ from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import Vector
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.fitting import fitted
 
 Value: TypeAlias = tuple[Vector, Vector]
@@ -73,7 +74,7 @@ class Track:
 
     def rates_at(self, times: Vector) -> Vector:
         """Return the angular velocities at times within the parts [rad/s; body frame]."""
-        return np.column_stack([np.interp(times, self.times, one) for one in self.rates.T])
+        return Series(self.times, self.rates).interpolated(times)
 
     def quaternions_at(self, times: Vector) -> Vector:
         """Return the orientations at times within the parts."""

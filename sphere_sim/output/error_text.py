@@ -16,7 +16,6 @@ EXTRAS = {
     "study": ("dask", "distributed"),
     "rigid": ("mujoco",),
     "viewer": ("viser",),
-    "report": ("pyarrow",),
     "benchmark": ("casadi",),
 }
 

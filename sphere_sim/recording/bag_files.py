@@ -53,6 +53,11 @@ def full_topic_name(name: str) -> str:
     return f"/{name.strip('/')}"
 
 
+def last_part(topic: str) -> str:
+    """Return the last part of a full name."""
+    return topic.rpartition("/")[2]
+
+
 def one_line_reason(error: Exception) -> str:
     """Return the message of an error in one line; its type where it has no message."""
     return " ".join(str(error).split()).rstrip(".") or type(error).__name__

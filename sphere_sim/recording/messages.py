@@ -43,6 +43,10 @@ class Messages:
     unread: str = ""
     truncated: bool = False
 
+    def recorded(self, msgtype: str) -> list[str]:
+        """Return the topics with messages of a type, in alphabetical order."""
+        return sorted(topic for topic in self.decoded if self.types[topic] == msgtype)
+
     def incomplete(self, missing: str) -> str:
         """Return the reason of an error for `missing` content that may have been recorded."""
         return f"{missing} in what can be read of it: {'; '.join(self.notes)}"

@@ -149,12 +149,9 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
 
 def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict[str, Value]:
     planned = [d.plan.made.solve_time for d in trajectory.decisions if d.solved and d.is_new]
-    solve_times = np.array(planned)
-    speeds = np.vstack((trajectory.speeds, inputs.speeds))
-    measured = measure(
-        trajectory.times, trajectory.states, goal, trajectory.times, trajectory.speeds,
-        trajectory.torques, solve_times,
-    )
+    measured = measure(trajectory, goal, np.array(planned))
+    turned = trajectory.rotor_speeds
+    speeds = np.vstack((turned.values, inputs.speeds))
     results = {name: finite(value) for name, value in asdict(measured).items()}
     errors = errors_to(goal, trajectory.states)[:, 0]
     stay = stay_below(trajectory.times, errors, LOOSELY_SETTLED)
@@ -165,7 +162,7 @@ def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict
     results["max_rotor_acceleration"] = _rounded(
         max(
             _largest_slope(inputs.times, inputs.speeds),
-            _largest_slope(trajectory.times, trajectory.speeds),
+            _largest_slope(turned.times, turned.values),
         )
     )
     if planned:

@@ -54,11 +54,11 @@ def test_case_of_the_paper_settles_at_its_known_time(case: int, seen: float) -> 
     # rounding may choose another one.
     assert stay is not None and abs(stay.since - seen) <= 2.0
     assert errors[-1] < 1e-3
-    assert np.max(np.abs(found.speeds)) <= ROBOT.max_rotor_speed
+    assert np.max(np.abs(found.rotor_speeds.values)) <= ROBOT.max_rotor_speed
     for hold in found.holds:
         check_hold(hold)
     # The paper states less than 3.2 N m.
-    assert np.max(np.abs(found.torques)) < 3.2
+    assert np.max(np.abs(found.rotor_torques.values)) < 3.2
     assert all(d.solved for d in found.decisions)
 
 
@@ -88,7 +88,7 @@ def test_present_state_as_goal_needs_no_motion(turn) -> None:
     loop = SampledLoop(start, goal=turn(start))
     found = trajectory(loop, 2.0)
     assert found.decisions[-1].plan.status is PlanStatus.HOLDING
-    np.testing.assert_array_equal(found.speeds, 0.0)
+    np.testing.assert_array_equal(found.rotor_speeds.values, 0.0)
 
 
 def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:

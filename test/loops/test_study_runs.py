@@ -98,7 +98,7 @@ def test_recorded_inputs_reproduce_speeds_and_states() -> None:
     for i in range(2):
         speeds = np.interp(trajectory.times, inputs.times, inputs.speeds[:, i])
         # Knot times are rounded to nanoseconds.
-        np.testing.assert_allclose(speeds, trajectory.speeds[:, i], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(speeds, trajectory.rotor_speeds.values[:, i], rtol=0, atol=1e-6)
     plant = RollingPlant(RobotParameters(), SCENARIO.start)
     for duration, end in zip(np.diff(inputs.times), inputs.speeds[1:], strict=True):
         plant.advance(end, float(duration))

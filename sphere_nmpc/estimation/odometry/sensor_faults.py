@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.imu import ImuSettings, convention_of
 from sphere_nmpc.estimation.odometry.inertial_filter import SATURATED
 from sphere_nmpc.estimation.odometry.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
@@ -24,10 +24,6 @@ _TURNING = 1.0
 """Speed by the angles at which the rotors turn [rad/s]: an encoder that toggles shows less."""
 _LARGE = 6.0
 """Standard deviations [-] by which a force or a bias at rest may differ from what is expected."""
-_CONVENTIONS = (
-    (0.5, "; gravity has been removed"), (2.0, "; it is given in g"),
-)
-"""What a force below a norm [m/s^2] means."""
 LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
 """Kinds that last until a pose is given, as the position is not known."""
 _LASTING = LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
@@ -87,14 +83,13 @@ class SensorFaults:
 
     def gravity(self, time: float, norm: float) -> bool:
         """Return whether the norm of a specific force at rest [m/s^2] is that of gravity."""
-        imu, shown = self._imu, ""
+        imu, convention = self._imu, convention_of(norm)
         spread = math.hypot(imu.accelerometer_bias, GRAVITY * imu.accelerometer_scale)
         if abs(norm - GRAVITY) > max(_LARGE * spread, 0.1 * GRAVITY):
-            shown = next((text for most, text in _CONVENTIONS if norm < most), "")
             self.see(
                 Kind.NO_GRAVITY, time,
                 f"given a specific force of {norm:.3g} m/s^2 at rest, expected {GRAVITY:.2f} "
-                f"opposite to gravity{shown}",
+                f"opposite to gravity{convention and f': {convention}'}",
             )
             return False
         self._seen.pop(Kind.NO_GRAVITY, None)

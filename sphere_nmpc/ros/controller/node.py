@@ -394,12 +394,6 @@ class ControllerNode(ClockedNode):
         self._set_timer()
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(ControllerNode, args, _ABOUT)
+    return run(ControllerNode, args, __doc__ or "")

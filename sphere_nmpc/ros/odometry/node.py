@@ -289,12 +289,6 @@ class OdometryNode(ClockedNode):
         self._epoch, self._sent, self._sent_stamp = None, [], -1
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(OdometryNode, args, _ABOUT)
+    return run(OdometryNode, args, __doc__ or "")

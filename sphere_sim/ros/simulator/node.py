@@ -48,7 +48,7 @@ from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.factory import make_plant, settings_class
 from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.simulator import Simulator
-from sphere_sim.world.walls import Walls, walls_of
+from sphere_sim.world.walls import walls_of
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
@@ -58,7 +58,6 @@ _SHORTEST_SPIN = 2e-4
 """Time to the next instant above which the executor waits for it, rather than a sleep [s]."""
 _SLOW = 0.95
 """Share of the wanted real-time factor below which the machine counts as too slow."""
-
 _FLUSH_TIMEOUT = 1.0
 """Longest wait of a pause until subscribers have received all messages [s, wall]."""
 _LARGEST_PRIORITY_FACTOR = 2.0
@@ -96,7 +95,9 @@ class SimulatorNode(GuardedNode):
             for name in sorted({*PLANTS.own, settings.plant})
         }
         self._own = own[settings.plant].for_robot(robot)
-        disturbances = declare(DisturbanceSettings(), on_change=self._tilt).settings
+        disturbances = declare(DisturbanceSettings(), on_change=lambda new: (
+            self.simulator.plant.tilt(new.slope, new.slope_direction)
+        )).settings
         pushes = declare(PushSettings())
         self._scheduling = declare(SchedulingSettings())
         frame = declare(FrameSettings()).settings.world_frame
@@ -105,11 +106,11 @@ class SimulatorNode(GuardedNode):
         ).settings
         self.parameters.warn_of_unknown()
         self._floor_receiver = FloorReceiver(
-            self, occupancy, robot.shell_radius, frame, walls_of, self._surround,
-            self._fault_log, self._event_log, is_planner=False,
+            self, occupancy, robot.shell_radius, frame, walls_of,
+            lambda walls: self.simulator.plant.surround(walls), self._fault_log, self._event_log,
+            is_planner=False,
         )
-        start = as_state(settings.initial_state)
-        walls = self._floor_receiver.floor
+        start, walls = as_state(settings.initial_state), self._floor_receiver.floor
         plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
         self.simulator = Simulator(settings, robot, plant, imu if settings.has_odometry else None)
         self._simulated_clock = SimulatedClock(
@@ -129,10 +130,9 @@ class SimulatorNode(GuardedNode):
             settings.lockstep,
         )
         self._controller_found = self._period_told = False
-        prefix = frame_prefix(self, settings.frame_prefix)
         self._state_publisher = StatePublisher(
-            self, robot.shell_radius, prefix, frame, clocked=not settings.is_on_system_clock,
-            has_odometry=settings.has_odometry, imu=imu,
+            self, robot.shell_radius, frame_prefix(self, settings.frame_prefix), frame,
+            clocked=not settings.is_on_system_clock, has_odometry=settings.has_odometry, imu=imu,
         )
         self._receiver = CommandReceiver(
             self, self.simulator, settings, robot.max_rotor_speed, self._fault_log,
@@ -278,8 +278,7 @@ class SimulatorNode(GuardedNode):
         self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
-            f"{timeout:g} s; time continues without it; "
-            f"{self._controllers.why_silent(timeout)}",
+            f"{timeout:g} s; time continues without it; {self._controllers.why_silent(timeout)}",
         )
 
     def _report_touch(self) -> None:
@@ -291,18 +290,12 @@ class SimulatorNode(GuardedNode):
                 f"{self.simulator.time:.3f} s; {counted(touches, 'contact')} so far",
             )
 
-    def _surround(self, walls: Walls | None) -> None:
-        self.simulator.plant.surround(walls)
-
     def _change(self, settings: SimulatorNodeSettings) -> None:
         if settings.real_time_factor != self._settings.real_time_factor:
             now = self.simulator.now
             self._simulated_clock.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
         self.simulator.change(settings)
-
-    def _tilt(self, disturbances: DisturbanceSettings) -> None:
-        self.simulator.plant.tilt(disturbances.slope, disturbances.slope_direction)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.simulator.reset()
@@ -395,12 +388,6 @@ class SimulatorNode(GuardedNode):
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(SimulatorNode, args, _ABOUT)
+    return run(SimulatorNode, args, __doc__ or "")

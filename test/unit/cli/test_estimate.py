@@ -17,6 +17,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import Imu, Joints, Pose
 from sphere_sim.cli.main import main
 from sphere_sim.evaluation.metrics import estimate_errors
+from sphere_sim.evaluation.series import Series
 
 pytestmark = pytest.mark.slow
 
@@ -50,7 +51,8 @@ def errors(run: Run, out: Path) -> Vector:
     stamps = np.array(sorted(run.states))
     states = np.array([run.states[stamp] for stamp in stamps.tolist()])
     begin = 1e-9 * run.readings[0].stamp
-    return estimate_errors(table[:, 0] + begin, table[:, 1:7], 1e-9 * stamps, states)[:, 0]
+    estimates = Series(table[:, 0] + begin, table[:, 1:7])
+    return estimate_errors(estimates, Series(1e-9 * stamps, states))[:, 0]
 
 
 def test_poses_of_a_bag_are_near_the_true_ones_with_table_figure_and_report(

@@ -31,10 +31,11 @@ def bag_of(
 ) -> Path:
     """Write what was recorded of a robot, in the form in which nodes publish it."""
     recorded, none = drawn.recorded, np.zeros(2)
+    turned = recorded.rotor_speeds
     commands, readings = recorded.commands, recorded.readings
     assert commands is not None and readings is not None
 
-    steps, mean = np.diff(recorded.joint_times), recorded.speeds[1:] + recorded.speeds[:-1]
+    steps, mean = np.diff(turned.times), turned.values[1:] + turned.values[:-1]
     angles = np.vstack((none, np.cumsum(0.5 * steps[:, None] * mean, axis=0)))
     angles = np.mod(angles + np.pi, 2.0 * np.pi) - np.pi
 
@@ -43,12 +44,12 @@ def bag_of(
 
     entries = [
         (stamp(t), "/pose", cdr.pose_message(pose, stamp(t), drawn.robot.shell_radius))
-        for t, pose in zip(recorded.times, recorded.poses, strict=True)
+        for t, pose in zip(recorded.times, recorded.states, strict=True)
     ] + [
         (stamp(t), "/joint_states", cdr.joint_states_message(
             angle, speeds if velocities else none * np.nan, none, stamp(t)
         ))
-        for t, speeds, angle in zip(recorded.joint_times, recorded.speeds, angles, strict=True)
+        for t, speeds, angle in zip(turned.times, turned.values, angles, strict=True)
     ] + [
         (stamp(t), "/imu", cdr.imu_message(rate, force, none, stamp(t), "imu"))
         for t, rate, force in zip(readings.times, readings.rates, readings.forces, strict=True)

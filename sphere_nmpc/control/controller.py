@@ -12,7 +12,7 @@ import numpy as np
 from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.keeping_clear import clear_command, clear_plan, stop_if_refused
-from sphere_nmpc.control.link import NEGLIGIBLE, REACH, Commands, RotorFeedback
+from sphere_nmpc.control.link import REACH, Commands, Link
 from sphere_nmpc.control.monitors import (
     ArrivalDetector,
     Progress,
@@ -23,6 +23,7 @@ from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
+from sphere_nmpc.estimation.rotor_history import NEGLIGIBLE
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.disturbance import UNDISTURBED
@@ -93,10 +94,12 @@ class Controller:
         """Message of the newest of these errors."""
         self._planner = Planner(settings, robot, self._record, strategy, worker)
         self._commands = Commands(robot)
-        self.rotor_feedback = RotorFeedback(self._commands.sent, robot.max_rotor_acceleration)
-        """What measured rotor speeds tell about the commands on their way."""
+        self.rotors = self._commands.rotors
+        """History of the commands, as measured rotor speeds correct them."""
+        self.link = Link(self.rotors)
+        """Delay and loss of commands and poses on their way."""
         self._estimator = Estimator(
-            settings, robot.lumped, self._commands.sent, worker, robot.max_rotor_acceleration
+            settings, robot.lumped, self.rotors, worker, robot.max_rotor_acceleration
         )
         self._floor = Floor.EMPTY
         self._course = CourseInForce()
@@ -145,7 +148,7 @@ class Controller:
     @property
     def faults(self) -> tuple[Condition, ...]:
         """Present faults of what the controller was given: rotor speeds, and the robot."""
-        found = self.rotor_feedback.condition, self._estimator.condition
+        found = self.rotors.condition, self._estimator.condition
         return tuple(one for one in found if one is not None)
 
     @property
@@ -327,22 +330,21 @@ class Controller:
             return
         try:
             # A negative one is of stamps alone.
-            self.rotor_feedback.observe(time, speeds, max(0.0, self._estimator.plant.lag))
+            self.rotors.observe(time, speeds, max(0.0, self._estimator.plant.lag))
         except Exception as error:
             # As in `decide`; without measured speeds commands count as followed as they were sent.
             self._record(error)
-            self.rotor_feedback.reset()
+            self.rotors.reset()
 
     def forget(self) -> None:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""
         self._estimator.forget()
-        self._commands.sent.clear()
-        self.rotor_feedback.reset()
+        self.rotors.clear()
         self._begin_anew()
 
     def speeds_at(self, time: float) -> Vector:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
-        return self._commands.sent.at(time)
+        return self.rotors.at(time)
 
     def motor_effort(self, start: float, end: float, pose: Vector) -> Vector:
         """Return what the commands from `start` to `end` [s] took, see `heat_and_energy`.
@@ -350,7 +352,7 @@ class Controller:
         It is that at a pose, shape (6,): in half a second the sphere turns by so little that this
         changes the heat by 1 %.
         """
-        durations, speeds = self._commands.sent.pieces(start, end)
+        durations, speeds = self.rotors.pieces(start, end)
         states = np.tile(pose, (durations.size + 1, 1))
         hold = FirstOrderHold(np.append(0.0, np.cumsum(durations)), speeds)
         inertia = self._robot.rotor_axial_inertia
@@ -359,7 +361,7 @@ class Controller:
 
     def is_at_rest(self, now: float) -> bool:
         """Return whether no rotor moves at `now` [s] or later by the commands sent."""
-        return not self._commands.sent.moves_after(now)
+        return not self.rotors.moves_after(now)
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
@@ -423,10 +425,9 @@ class Controller:
             else:
                 sent = commands.joined(hold, start, period)
             stops = not decision.solved and decision.mode is not Kind.FALLBACK
-            if stops and not sent.speeds.any() and not commands.sent.moves_after(start):
+            if stops and not sent.speeds.any() and not self.rotors.moves_after(start):
                 return None
             commands.begin(hold, sent, stops)
-        self.rotor_feedback.sent(sent)
         commands.record(sent)
         return sent
 
@@ -445,10 +446,10 @@ class Controller:
                 # Once: a strategy may take as long to reset as to set up.
                 self._interrupted = True
                 self._begin_anew()
-                self.rotor_feedback.resume()
+                self.rotors.resume()
             return self._without_pose(time, Kind.NO_FRESH_POSE, age)
         self._interrupted = False
-        self._is_carried = self._is_carried and self._commands.sent.moves_after(time)
+        self._is_carried = self._is_carried and self.rotors.moves_after(time)
         if self._is_carried:
             jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
             return Decision((jumped,), self._stop(time, jumped.kind), None, pose_age=age)

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.estimation.pose_filter import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
 from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.settings import ControllerSettings
 
 _FASTEST = 10.0

@@ -4,7 +4,7 @@
 
 from collections import deque
 
-from sphere_nmpc.control.recent import Recent
+from sphere_nmpc.reporting.recent import Recent
 
 MOST_AHEAD = 0.5
 """How far ahead of its clock a command may begin [s]; a smaller step of the clock is no jump."""

@@ -209,7 +209,7 @@ class ControllerNode(ClockedNode):
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
         if now is not None:
-            self._schedule.window = self.controller.rotor_feedback.window
+            self._schedule.window = self.controller.link.window
             self._plan_instant(now)
 
     def _plan_instant(self, now: float) -> None:
@@ -253,7 +253,7 @@ class ControllerNode(ClockedNode):
         hold = controller.commit(decision, starts) or schedule.answer(request)
         if hold is not None:
             seldom = schedule.is_real_time and self._period > _SELDOM
-            repeated = seldom and controller.rotor_feedback.shows_link
+            repeated = seldom and controller.link.is_apparent
             self._sender.send(hold, epoch, repeated)
         ended = time.perf_counter()
         schedule.completed(ended - began, decision.solved)
@@ -278,7 +278,7 @@ class ControllerNode(ClockedNode):
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
             self._monitor.poses.received(age, stamp)
-            self.controller.rotor_feedback.poses.received(measured, age)
+            self.controller.link.pose_received(measured, age)
             pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
             self._monitor.stamps.received(measured, pose.state)
         except InvalidValueError as error:

@@ -17,7 +17,6 @@ from std_msgs.msg import Bool, Float64
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import rotor_reserve
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.schedule import Schedule
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
@@ -32,6 +31,7 @@ from sphere_nmpc.reporting.conditions import (
     worst_first,
 )
 from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
+from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.ros.cdr import stamp_of
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force

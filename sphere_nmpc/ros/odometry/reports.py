@@ -10,7 +10,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Imu, JointState
 
 from sphere_nmpc.control.pose_stream import StampWatch
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.sensor_faults import LOST
@@ -18,6 +17,7 @@ from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.reporting.conditions import OK, STALE, Condition, Kind, Severity
 from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.ros.cdr import seconds
 from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.diagnostics import Diagnostics, status, status_name

@@ -36,10 +36,8 @@ from sphere_nmpc.model.error_state import (
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
+from sphere_nmpc.reporting.stamps import SHORT_GAP
 from sphere_nmpc.solver.roll_out import propagate, roll_out
-
-SHORT_GAP = 0.1
-"""Share of the mean spacing of poses [-] below which two are of a bunch."""
 
 
 @dataclass(frozen=True, eq=False)

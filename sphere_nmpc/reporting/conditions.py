@@ -6,9 +6,9 @@ The table is `Kind`. From it follow the level of status and diagnostics, the err
 action, and the words of log and status, which `docs/when_it_does_not_move.md` explains.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum, IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Severity(IntEnum):
@@ -140,3 +140,18 @@ class Kind(Enum):
 def worst_first(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
     """Return conditions by severity, those of the same one in the order given."""
     return tuple(sorted(conditions, key=lambda condition: -condition.kind.severity))
+
+
+class Report(NamedTuple):
+    """How a node, or one of its tasks, stands: how severe it is, a message, and values by name."""
+
+    severity: Severity
+    message: str
+    values: Mapping[str, Any]
+
+    def with_conditions(self, found: Sequence[Condition]) -> "Report":
+        """Return it with conditions, the first of which takes precedence over its message."""
+        if not found:
+            return self
+        severity = max(self.severity, *(one.kind.severity for one in found))
+        return self._replace(severity=severity, message=str(found[0]))

@@ -4,7 +4,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
@@ -13,6 +13,7 @@ from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch
 from sphere_nmpc.ros.graph_monitor import (
     CLOCK_EFFECT,
     POSE_EFFECT,
@@ -23,8 +24,6 @@ from sphere_nmpc.ros.graph_monitor import (
 SILENCE_LIMIT = 1.25
 """Silence after which a topic counts as missing [s, wall]. Nodes that start together have
 discovered each other by then, and with checks every half second faults are logged within two."""
-OTHER_CLOCK_AGE = 1e6
-"""Age of a message beyond which its stamp is of another kind of clock, not merely late [s]."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +83,13 @@ class StampedInput:
 class InputMonitor:
     """Monitor of clock and sources, which logs the faults around a node.
 
-    The silence of the first source is a fault; of all their stamps have to be of the node's clock.
+    The silence of the first source is a fault; of all their stamps, which the node has watched,
+    have to be of its clock.
     """
 
-    def __init__(self, node: Node, fault_log: FaultLog, *sources: Source) -> None:
+    def __init__(
+        self, node: Node, fault_log: FaultLog, sources: Mapping[Source, StampWatch]
+    ) -> None:
         self._fault_log = fault_log
         self.graph = GraphMonitor(node, fault_log)
         """Monitor of the graph, for further faults."""
@@ -95,6 +97,7 @@ class InputMonitor:
             StampedInput(source, node.resolve_topic_name(source.topic)) for source in sources
         ]
         """Messages of the sources."""
+        self._watches = tuple(sources.values())
         self.topic = self.inputs[0].topic
         """Full name of the topic of the first source."""
         self._clock_topic = node.resolve_topic_name("/clock")
@@ -109,6 +112,11 @@ class InputMonitor:
     def faults(self) -> tuple[Condition, ...]:
         """The present faults, the worst first."""
         return self.graph.faults
+
+    @property
+    def inexact_stamps(self) -> list[Condition]:
+        """What is wrong with the stamps of the first source of which something is; else empty."""
+        return [fault for watch in self._watches if (fault := watch.fault())][:1]
 
     def update(
         self, now: float | None, follows_clock: bool, timeout: float, further: Sequence[Condition]

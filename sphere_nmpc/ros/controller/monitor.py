@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.timing import MissedSamples
 from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch
 from sphere_nmpc.ros.controller.pose_source import PoseSource
 from sphere_nmpc.ros.graph_monitor import several_publishers
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.input_monitor import OTHER_CLOCK_AGE, POSES, InputMonitor
+from sphere_nmpc.ros.input_monitor import POSES, InputMonitor
 
 _MISSING = 0.5
 """Silence of the poses after which the status of their source is read [s, wall], so that it is
@@ -26,15 +26,15 @@ class ControllerMonitor(InputMonitor):
     """Monitor of clock, poses, samples and commands, which logs the faults around a controller."""
 
     def __init__(self, node: GuardedNode, fault_log: FaultLog) -> None:
-        super().__init__(node, fault_log, POSES)
+        self.stamps = StampWatch()
+        """Stamps of the poses."""
+        super().__init__(node, fault_log, {POSES: self.stamps})
         (self.poses,) = self.inputs
         """Messages of the poses."""
         self._pose_source = PoseSource(node)
         self._command_topic = node.resolve_topic_name("rotor_trajectory")
         self.is_steady = True
         """Whether the clock had not jumped shortly before the last check."""
-        self.stamps = StampWatch()
-        """Stamps of the poses."""
         self._samples = MissedSamples()
 
     def pose_refused(self, ahead: float, pose_timeout: float) -> None:
@@ -60,11 +60,9 @@ class ControllerMonitor(InputMonitor):
         `instants` the numbers of sampling instants with and without a plan, and their period [s].
         """
         self.is_steady = jump == 0.0
-        found: list[Condition] = []
-        inexact = self.stamps.fault()
-        if inexact is not None:
-            found.append(inexact)
-        found += self._missed_samples(time.monotonic(), *instants)
+        found = [
+            *self.inexact_stamps, *self._missed_samples(time.monotonic(), *instants)
+        ]
         is_missing = time.monotonic() > self.poses.seen_at + _MISSING
         sources = self.graph.publishers(self.topic, PoseStamped) if is_missing else ()
         self.poses.reported = self._pose_source.reported_by(sources)

@@ -38,7 +38,6 @@ from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
-from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
@@ -109,8 +108,9 @@ class ControllerNode(ClockedNode):
             depth=1 if self._schedule.is_real_time else 10,
         )
         self._reports = ControllerReports(
-            self, self.controller, self._schedule, self._fault_log, robot, settings,
-            self._monitor, self._event_log, self._frame, lambda: self._floor_receiver.pending,
+            self, self._control_clock.stamp, self.controller, self._schedule, self._fault_log,
+            robot, settings, self._monitor, self._event_log, self._frame,
+            lambda: self._floor_receiver.pending,
         )
         self._rotor_receiver = RotorReceiver(
             self, self.controller, self._control_clock
@@ -118,14 +118,10 @@ class ControllerNode(ClockedNode):
         self._subscribe(robot.shell_radius)
         self._timer: Timer | None = None
         self._set_timer()
-        self._wall_timers = [
-            self.create_wall_timer(_CHECK_EVERY, self._check),
-            self.create_wall_timer(_SAVE_EVERY, self._save_goal),
-        ]
+        self.create_wall_timer(_CHECK_EVERY, self._check)
+        self.create_wall_timer(_SAVE_EVERY, self._save_goal)
         self._found_timer = self.create_wall_timer(_FOUND_EVERY, self._use_found)
         self._found_timer.cancel()
-        tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
-        self._diagnostics = Diagnostics(self, self._control_clock.stamp, tasks)
 
     @property
     def thread_priority(self) -> int:
@@ -153,14 +149,11 @@ class ControllerNode(ClockedNode):
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before
         # simulated time stops, so that a depth of one keeps it.
         newest = NEWEST if self._schedule.is_real_time else 1
-        self._inputs = [
-            self.create_subscription(
-                PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS,
-                raw=True,
-            ),
-            self.create_service(SetBool, "~/enable", self._enable),
-            self.create_service(Trigger, "~/cancel", self._cancel),
-        ]
+        self.create_subscription(
+            PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS, raw=True
+        )
+        self.create_service(SetBool, "~/enable", self._enable)
+        self.create_service(Trigger, "~/cancel", self._cancel)
         self._goal_receiver = GoalReceiver(
             self, self._control_clock, self._frame, radius, lambda: self._settings,
             self._set_goals, self._fault_log,

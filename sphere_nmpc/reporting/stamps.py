@@ -3,6 +3,7 @@
 """Stamps of measurements, and which of them cannot be times of measurement."""
 
 import math
+import time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +26,39 @@ _LASTING = 3.0
 
 
 class StampWatch:
-    """Monitor of stamps that cannot be times of measurement; `plural` names what is measured."""
+    """Monitor of the messages of a source: since when there are none, and their stamps.
+
+    `plural` names what is measured.
+    """
 
     def __init__(self, plural: str = "poses") -> None:
         self._plural = plural
+        self.seen_at = time.monotonic()
+        """Wall time of the last check before which there were messages [s]."""
+        self.age, self.has_stamp = math.nan, True
+        """Age nearest to 0 [s] of those before that check, one of which has a stamp other than 0:
+        of another clock are those whose stamps are all wrong."""
+        self.reported = ""
+        """What the node that publishes them reports as wrong."""
+        self._is_heard = False
         self._newest: tuple[float, NDArray[np.float64]] = (math.nan, np.empty(0))
         self._gaps = Recent()
         self._deviation, self._exact_at = 0.0, math.inf
         """What is told [s], and the last time at which there was nothing to be told [s]."""
+
+    def heard(self, age: float, stamp: int) -> None:
+        """Record a message with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
+        if not self._is_heard:
+            self._is_heard, self.age, self.has_stamp = True, age, stamp != 0
+            return
+        self.has_stamp = self.has_stamp or stamp != 0
+        if not abs(age) >= abs(self.age):
+            self.age = age
+
+    def checked(self, wall: float) -> None:
+        """Begin anew at a check, at wall time `wall` [s]."""
+        if self._is_heard:
+            self._is_heard, self.seen_at = False, wall
 
     def received(self, stamp: float, measured: NDArray[np.float64]) -> None:
         """Record what was measured, and its stamp [s]; a copy of the one before counts as it."""

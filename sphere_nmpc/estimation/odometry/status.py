@@ -68,7 +68,7 @@ class SensorStream(StampWatch):
         """Mean rate of the newest messages [Hz]; nan where there are none."""
         return 1.0 / self._steps.mean
 
-    def age(self, now: int) -> float:
+    def age_at(self, now: int) -> float:
         """Return the age of the newest message [s]; infinite without any."""
         newest = self._newest_stamp
         return (now - newest) / NANOSECONDS if newest else math.inf
@@ -89,7 +89,7 @@ def status_values(
         "gyro_bias_rad_s": odometry.gyro_bias.round(7).tolist(),
         "position_deviation_m": position,
         "heading_deviation_deg": math.degrees(heading),
-        "imu_age_s": imu.age(now),
+        "imu_age_s": imu.age_at(now),
         "imu_rate_hz": imu.rate,
         "joint_states_rate_hz": joints.rate,
         "fixes_used": odometry.fixes_used,

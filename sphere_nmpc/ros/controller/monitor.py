@@ -26,11 +26,11 @@ class ControllerMonitor(InputMonitor):
     """Monitor of clock, poses, samples and commands, which logs the faults around a controller."""
 
     def __init__(self, node: GuardedNode, fault_log: FaultLog) -> None:
-        self.stamps = StampWatch()
-        """Stamps of the poses."""
-        super().__init__(node, fault_log, {POSES: self.stamps})
-        (self.poses,) = self.inputs
-        """Messages of the poses."""
+        self.poses = StampWatch()
+        """Messages of the poses, and their stamps."""
+        super().__init__(node, fault_log, {POSES: self.poses})
+        self.topic = self.topics[POSES]
+        """Full name of their topic."""
         self._pose_source = PoseSource(node)
         self._command_topic = node.resolve_topic_name("rotor_trajectory")
         self.is_steady = True

@@ -173,7 +173,7 @@ class ControllerNode(ClockedNode):
         if now is not None:
             has_goal = self.controller.active is not None  # else nothing is to move
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
-            self._monitor.stamps.moved(now, deviation)
+            self._monitor.poses.moved(now, deviation)
             newest = self.controller.estimator.newest
             if newest is not None and self._schedule.is_overdue(
                 now - newest[0], bool(self._monitor.poses.reported)
@@ -270,10 +270,10 @@ class ControllerNode(ClockedNode):
             stamp, frame, numbers = fields(message, Pose)
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
-            self._monitor.poses.received(age, stamp)
+            self._monitor.poses.heard(age, stamp)
             self.controller.link.pose_received(measured, age)
             pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
-            self._monitor.stamps.received(measured, pose.state)
+            self._monitor.poses.received(measured, pose.state)
         except InvalidValueError as error:
             self._fault_log.report("pose refused", str(error))
             return

@@ -39,12 +39,11 @@ class OdometryReports:
     def __init__(
         self, node: GuardedNode, clock: ControlClock, fault_log: FaultLog, event_log: FaultLog,
     ) -> None:
-        self._node, self._clock, self._event_log = node, clock, event_log
+        self._clock, self._event_log = clock, event_log
         streams = {source: SensorStream(source.plural) for source in _SOURCES}
         self.imu, self.joints = streams.values()
         """Messages of the sensors."""
         self._monitor = InputMonitor(node, fault_log, streams)
-        self._inputs = dict(zip(streams.values(), self._monitor.inputs, strict=True))
         self.pose: Vector | None = None
         """Last pose that was published, shape (6,)."""
         self._told: set[str] = set()
@@ -60,7 +59,7 @@ class OdometryReports:
         monitor.
         """
         clock, now = self._clock, self._clock.stamp()
-        self._inputs[stream].received(seconds(now, stamp), stamp)
+        stream.heard(seconds(now, stamp), stamp)
         return clock.now() is not None and stream.accepts(stamp, measured, now, clock.simulated)
 
     def update(self, odometry: Odometry) -> None:
@@ -103,10 +102,10 @@ class OdometryReports:
                 f" after that at {self.pose[POSITION].round(2).tolist()} m"
             )
             return Condition(one.kind, f"{one.text}; no pose is published{place}")
-        silent = next((it for it in self._monitor.inputs if it.source.missing is one.kind), None)
-        if silent is None:
+        source = next((source for source in _SOURCES if source.missing is one.kind), None)
+        if source is None:
             return one
-        topic, source = silent.topic, silent.source
+        topic = self._monitor.topics[source]
         senders = self._monitor.graph.publishers(topic, source.message)
         there = f"without a publisher: start its driver, or remap, -r {source.topic}:=/its/topic"
         if senders:

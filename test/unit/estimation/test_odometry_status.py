@@ -25,11 +25,11 @@ def accepts(stream: SensorStream, stamp: int, now: int = NOW, is_simulated: bool
 
 def test_rate_and_age_are_those_of_the_newest_stamps() -> None:
     stream = SensorStream("readings")
-    assert math.isnan(stream.rate) and stream.age(NOW) == math.inf
+    assert math.isnan(stream.rate) and stream.age_at(NOW) == math.inf
     for k in (0, 1, 2, 4, 3, 5):  # one is overtaken
         assert accepts(stream, NOW + k * STEP, NOW + k * STEP)
     assert stream.rate == pytest.approx(4 / (5 * 0.005))
-    assert stream.age(NOW + 7 * STEP) == pytest.approx(0.01)
+    assert stream.age_at(NOW + 7 * STEP) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_readings_of_before_a_new_beginning_are_left_out() -> None:
     stream = SensorStream("readings")
     accepts(stream, NOW)
     stream.begin_anew(NOW + STEP)
-    assert stream.age(NOW) == math.inf
+    assert stream.age_at(NOW) == math.inf
     assert not accepts(stream, NOW + STEP) and accepts(stream, NOW + 2 * STEP)
 
 

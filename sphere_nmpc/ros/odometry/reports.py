@@ -47,9 +47,10 @@ class OdometryReports:
         self.pose: Vector | None = None
         """Last pose that was published, shape (6,)."""
         self._told: set[str] = set()
-        self._report = Report(STALE, "no reading yet", {})
+        self.report = Report(STALE, "no reading yet", {})
+        """The newest status."""
         self._diagnostics = Diagnostics(
-            node, clock.stamp, {"estimate": lambda: self._report}, LATCHED
+            node, clock.stamp, {"estimate": lambda: self.report}, LATCHED
         )
 
     def received(self, stream: SensorStream, stamp: int, measured: Vector) -> bool:
@@ -80,8 +81,8 @@ class OdometryReports:
         values = status_values(odometry, self.imu, self.joints, clock.stamp(), told)
         is_begun = told or odometry.estimate is not None
         severity, message = (OK, "estimating") if is_begun else (STALE, "no reading yet")
-        self._report = Report(severity, message, values).with_conditions(told)
-        self._diagnostics.publish_status(self._report)
+        self.report = Report(severity, message, values).with_conditions(told)
+        self._diagnostics.publish_status(self.report)
 
     def _tell(self, odometry: Odometry, passing: Sequence[Condition]) -> None:
         """Log what is no fault, once: what has begun, and the result of the calibration."""

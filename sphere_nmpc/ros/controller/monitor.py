@@ -60,9 +60,9 @@ class ControllerMonitor(InputMonitor):
         `instants` the numbers of sampling instants with and without a plan, and their period [s].
         """
         self.is_steady = jump == 0.0
-        found = [
-            *self.inexact_stamps, *self._missed_samples(time.monotonic(), *instants)
-        ]
+        used, missed, period = instants
+        self._samples.read(time.monotonic(), used, missed)
+        found = [*self.inexact_stamps, *self._samples.faults(period)]
         is_missing = time.monotonic() > self.poses.seen_at + _MISSING
         sources = self.graph.publishers(self.topic, PoseStamped) if is_missing else ()
         self.poses.reported = self._pose_source.reported_by(sources)
@@ -77,19 +77,3 @@ class ControllerMonitor(InputMonitor):
                 "nothing is sent until it does",
             ))
         self.update(now, follows_clock, pose_timeout, [*found, *further])
-
-    def _missed_samples(
-        self, wall: float, used: int, missed: int, period: float
-    ) -> list[Condition]:
-        self._samples.read(wall, used, missed)
-        if not self._samples.share:
-            return []
-        return [
-            Condition(
-                Kind.MISSED_SAMPLES,
-                f"given {100.0 * self._samples.share:.3g} % of the sampling "
-                f"instants of the last {self._samples.span:.0f} s without a plan, at "
-                f"{1.0 / period:.4g} Hz, expected none; a lower control_rate, thread_priority: 1 "
-                "or a free processor core helps",
-            )
-        ]

@@ -25,6 +25,10 @@ class Severity(IntEnum):
 OK, WARN, STALE, ERROR = Severity
 
 
+Report = tuple[Severity, str, Mapping[str, Any]]
+"""How a node, or one of its tasks, stands: how severe it is, a message, and values by name."""
+
+
 class Condition(NamedTuple):
     """How one thing stands; its severity is that of its kind."""
 
@@ -142,16 +146,9 @@ def worst_first(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
     return tuple(sorted(conditions, key=lambda condition: -condition.kind.severity))
 
 
-class Report(NamedTuple):
-    """How a node, or one of its tasks, stands: how severe it is, a message, and values by name."""
-
-    severity: Severity
-    message: str
-    values: Mapping[str, Any]
-
-    def with_conditions(self, found: Sequence[Condition]) -> "Report":
-        """Return it with conditions, the first of which takes precedence over its message."""
-        if not found:
-            return self
-        severity = max(self.severity, *(one.kind.severity for one in found))
-        return self._replace(severity=severity, message=str(found[0]))
+def with_conditions(report: Report, found: Sequence[Condition]) -> Report:
+    """Return a report with conditions, the first of which takes precedence over its message."""
+    if not found:
+        return report
+    severity, _, values = report
+    return max(severity, *(one.kind.severity for one in found)), str(found[0]), values

@@ -30,7 +30,7 @@ class Diagnostics:
     """Publisher of the reports of a node's tasks on ``/diagnostics``, every `PERIOD` of wall time.
 
     `now` returns the stamp [ns] of a message. With a quality of service for it there is
-    ``~/status``, too.
+    ``~/status``, too, on which the node publishes a `message`.
     """
 
     def __init__(
@@ -41,31 +41,28 @@ class Diagnostics:
         self._now, self._tasks = now, tasks
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         if status is not None:
-            self._status = node.create_publisher(DiagnosticStatus, "~/status", status)
+            self.status = node.create_publisher(DiagnosticStatus, "~/status", status)
         self._timer = node.create_wall_timer(PERIOD, self._publish)
-
-    def publish_status(self, report: Report) -> None:
-        """Publish a report as the status of the node."""
-        self._status.publish(self._message(self._name, report))
 
     def _publish(self) -> None:
         """Publish the reports of all tasks."""
         message = DiagnosticArray()
         message.header.stamp = stamp_to_ros(self._now())
         message.status = [
-            self._message(f"{self._name}: {task}", report())
-            for task, report in self._tasks.items()
+            self.message(report(), f": {task}") for task, report in self._tasks.items()
         ]
         self._publisher.publish(message)
 
-    def _message(self, name: str, report: Report) -> DiagnosticStatus:
+    def message(self, report: Report, task: str = "") -> DiagnosticStatus:
+        """Return a report as a message, of the node or of one of its tasks."""
+        severity, message, values = report
         return DiagnosticStatus(
-            level=_LEVELS[report.severity],
-            name=name,
-            message=report.message,
-            hardware_id=name.rpartition("/")[0] or "sphere",
+            level=_LEVELS[severity],
+            name=self._name + task,
+            message=message,
+            hardware_id=self._name.rpartition("/")[0] or "sphere",
             values=[
                 KeyValue(key=key, value=_TEXTS.get(type(value), str)(value))
-                for key, value in report.values.items()
+                for key, value in values.items()
             ],
         )

@@ -26,6 +26,7 @@ from sphere_nmpc.reporting.conditions import (
     Condition,
     Kind,
     Report,
+    with_conditions,
     worst_first,
 )
 from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
@@ -207,8 +208,10 @@ class ControllerReports:
             "pose_topic": self._monitor.topic,
         }
         found = worst_first((*self._monitor.faults, *warnings))
-        report = Report(mode.severity, message, values)
-        self._diagnostics.publish_status(report.with_conditions(found))
+        report: Report = mode.severity, message, values
+        if found:
+            report = with_conditions(report, found)
+        self._diagnostics.status.publish(self._diagnostics.message(report))
 
     def _publish_arrival(self) -> None:
         if self._controller.at_goal is not self._at_goal_published:
@@ -300,10 +303,10 @@ class ControllerReports:
             "failures": self._controller.failures,
         }
         if self._decision is not None and self._decision.mode is Kind.FALLBACK:
-            return Report(ERROR, self._decision.plan.message, values)
+            return ERROR, self._decision.plan.message, values
         if p99 > self._period * 1e3:
-            return Report(WARN, "solving takes longer than the control period", values)
-        return Report(OK, "solving" if self._solve_times else "nothing solved yet", values)
+            return WARN, "solving takes longer than the control period", values
+        return OK, "solving" if self._solve_times else "nothing solved yet", values
 
     def _loop(self) -> Report:
         """Return the diagnostics about ticks and the pose's age."""
@@ -326,8 +329,8 @@ class ControllerReports:
         }
         mode = self._mode
         at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
-        report = Report(mode.severity, f"{mode.value}{at}", values)
-        return report.with_conditions([one._replace(text="") for one in self._monitor.faults])
+        found = [one._replace(text="") for one in self._monitor.faults]
+        return with_conditions((mode.severity, f"{mode.value}{at}", values), found)
 
 
 def _shown(path: Path) -> Vector:

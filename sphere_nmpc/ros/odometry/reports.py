@@ -10,7 +10,14 @@ from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.sensor_faults import LOST
 from sphere_nmpc.estimation.odometry.status import MOST_AHEAD, SensorStream, status_values
 from sphere_nmpc.model.state import POSITION, Vector
-from sphere_nmpc.reporting.conditions import OK, STALE, Condition, Kind, Report
+from sphere_nmpc.reporting.conditions import (
+    OK,
+    STALE,
+    Condition,
+    Kind,
+    Report,
+    with_conditions,
+)
 from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.cdr import seconds
 from sphere_nmpc.ros.control_clock import ControlClock
@@ -47,7 +54,7 @@ class OdometryReports:
         self.pose: Vector | None = None
         """Last pose that was published, shape (6,)."""
         self._told: set[str] = set()
-        self.report = Report(STALE, "no reading yet", {})
+        self.report: Report = STALE, "no reading yet", {}
         """The newest status."""
         self._diagnostics = Diagnostics(
             node, clock.stamp, {"estimate": lambda: self.report}, LATCHED
@@ -81,8 +88,8 @@ class OdometryReports:
         values = status_values(odometry, self.imu, self.joints, clock.stamp(), told)
         is_begun = told or odometry.estimate is not None
         severity, message = (OK, "estimating") if is_begun else (STALE, "no reading yet")
-        self.report = Report(severity, message, values).with_conditions(told)
-        self._diagnostics.publish_status(self.report)
+        self.report = with_conditions((severity, message, values), told)
+        self._diagnostics.status.publish(self._diagnostics.message(self.report))
 
     def _tell(self, odometry: Odometry, passing: Sequence[Condition]) -> None:
         """Log what is no fault, once: what has begun, and the result of the calibration."""

@@ -47,7 +47,7 @@ from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.factory import make_plant, settings_class
 from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.simulator import Simulator
-from sphere_sim.world.walls import Walls, walls_of
+from sphere_sim.world.walls import walls_of
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
@@ -57,7 +57,6 @@ _SHORTEST_SPIN = 2e-4
 """Time to the next instant above which the executor waits for it, rather than a sleep [s]."""
 _SLOW = 0.95
 """Share of the wanted real-time factor below which the machine counts as too slow."""
-
 _FLUSH_TIMEOUT = 1.0
 """Longest wait of a pause until subscribers have received all messages [s, wall]."""
 _LARGEST_PRIORITY_FACTOR = 2.0
@@ -95,7 +94,10 @@ class SimulatorNode(GuardedNode):
             for name in sorted({*PLANTS.own, settings.plant})
         }
         self._own = own[settings.plant].for_robot(robot)
-        disturbances = declare(DisturbanceSettings(), on_change=self._tilt).settings
+        disturbances = declare(
+            DisturbanceSettings(),
+            on_change=lambda new: self.simulator.plant.tilt(new.slope, new.slope_direction),
+        ).settings
         pushes = declare(PushSettings())
         self._scheduling = declare(SchedulingSettings())
         frame = declare(FrameSettings()).settings.world_frame
@@ -104,7 +106,8 @@ class SimulatorNode(GuardedNode):
         ).settings
         self.parameters.warn_of_unknown()
         self._floor_receiver = FloorReceiver(
-            self, occupancy, robot.shell_radius, frame, walls_of, self._surround,
+            self, occupancy, robot.shell_radius, frame, walls_of,
+            lambda walls: self.simulator.plant.surround(walls),
             self._fault_log, self._event_log, is_planner=False,
         )
         start = as_state(settings.initial_state)
@@ -290,18 +293,12 @@ class SimulatorNode(GuardedNode):
                 f"{self.simulator.time:.3f} s; {counted(touches, 'contact')} so far",
             )
 
-    def _surround(self, walls: Walls | None) -> None:
-        self.simulator.plant.surround(walls)
-
     def _change(self, settings: SimulatorNodeSettings) -> None:
         if settings.real_time_factor != self._settings.real_time_factor:
             now = self.simulator.now
             self._simulated_clock.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
         self.simulator.change(settings)
-
-    def _tilt(self, disturbances: DisturbanceSettings) -> None:
-        self.simulator.plant.tilt(disturbances.slope, disturbances.slope_direction)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.simulator.reset()
@@ -365,15 +362,14 @@ class SimulatorNode(GuardedNode):
             "lockstep time-outs": clock.timeouts,
         }
         if self._monitor.faults:
-            return Report(WARN, self._monitor.faults[0].name, values)
+            return WARN, self._monitor.faults[0].name, values
         if clock.paused:
-            return Report(OK, "paused", values)
+            return OK, "paused", values
         if clock.awaited is not None and achieved == 0.0:
-            return Report(WARN, "waiting for rotor_trajectory", values)
+            return WARN, "waiting for rotor_trajectory", values
         if not clock.lockstep and achieved < _SLOW * wanted:
-            told = f"slower than set: real-time factor {achieved:.3g} of {wanted:g}"
-            return Report(WARN, told, values)
-        return Report(OK, "running", values)
+            return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
+        return OK, "running", values
 
     def _contradictions(self) -> list[Condition]:
         """Return the faults of limits that contradict each other, here and in the controller."""
@@ -392,8 +388,7 @@ class SimulatorNode(GuardedNode):
     def _report_commands(self) -> Report:
         self._event_log.flush()
         counts = dict(self._fault_log.counts)
-        severity, message = (WARN, "faults so far") if counts else (OK, "no faults")
-        return Report(severity, message, counts)
+        return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 
 
 _ABOUT = f"""{__doc__}

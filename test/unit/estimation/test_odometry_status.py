@@ -13,7 +13,7 @@ from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.status import SensorStream, status_values
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.reporting.conditions import ERROR, OK, WARN, Condition, Kind, Report
+from sphere_nmpc.reporting.conditions import ERROR, OK, WARN, Condition, Kind, with_conditions
 
 NOW = 2_000_000_000_000_000_000
 STEP = 5_000_000
@@ -75,8 +75,8 @@ def test_values_before_a_calibration_are_not_known() -> None:
 
 
 def test_first_condition_is_the_message_of_a_report_and_the_worst_one_its_severity() -> None:
-    report = Report(OK, "estimating", {"a": 1})
-    assert report.with_conditions(()) is report
+    report = OK, "estimating", {"a": 1}
+    assert with_conditions(report, ()) is report
     pushed, slipped = Condition(Kind.PUSHED, "by 1 N s"), Condition(Kind.SLIPPED)
-    assert report.with_conditions((pushed, slipped)) == (WARN, "pushed: by 1 N s", {"a": 1})
-    assert Report(ERROR, "jumps", {}).with_conditions((slipped,)) == (ERROR, "slipped", {})
+    assert with_conditions(report, (pushed, slipped)) == (WARN, "pushed: by 1 N s", {"a": 1})
+    assert with_conditions((ERROR, "jumps", {}), (slipped,)) == (ERROR, "slipped", {})

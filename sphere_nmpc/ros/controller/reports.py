@@ -16,6 +16,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import rotor_reserve
 from sphere_nmpc.control.schedule import Schedule
+from sphere_nmpc.control.status import ControllerStatus, goals_in_force
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector
@@ -33,7 +34,6 @@ from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.ros.cdr import stamp_of
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
-from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros

@@ -9,7 +9,7 @@ from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.course_following import CourseFollowing
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.keeping_clear import clear_plan, stop_if_refused
-from sphere_nmpc.control.link import REACH
+from sphere_nmpc.control.link import REACH, Link
 from sphere_nmpc.control.planner import Planner
 from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.control.sending import Sending
@@ -77,11 +77,12 @@ class Controller:
         """The strategy in use, and the plan in force."""
         self.sending = Sending(robot, self._record)
         """The commands sent."""
-        self._sent = self.sending.commands.sent
-        self.rotor_feedback = self.sending.rotor_feedback
-        """What measured rotor speeds show of the commands on their way."""
+        self.rotors = self.sending.commands.rotors
+        """History of the commands, as measured rotor speeds correct them."""
+        self.link = Link(self.rotors)
+        """Delay and loss of commands and poses on their way."""
         self.estimator = Estimator(
-            settings, robot.lumped, self._sent, worker, robot.max_rotor_acceleration
+            settings, robot.lumped, self.rotors, worker, robot.max_rotor_acceleration
         )
         """The estimator of the state and of the plant's parameters in use."""
         self._floor = Floor.EMPTY
@@ -124,7 +125,7 @@ class Controller:
     @property
     def faults(self) -> tuple[Condition, ...]:
         """Present faults of what the controller was given: rotor speeds, and the robot."""
-        found = self.rotor_feedback.condition, self.estimator.condition
+        found = self.rotors.condition, self.estimator.condition
         return tuple(one for one in found if one is not None)
 
     @property
@@ -234,26 +235,25 @@ class Controller:
             return
         try:
             # A negative one is of stamps alone.
-            self.rotor_feedback.observe(time, speeds, max(0.0, self.estimator.plant.lag))
+            self.rotors.observe(time, speeds, max(0.0, self.estimator.plant.lag))
         except Exception as error:
             # As in `decide`; without measured speeds commands count as followed as they were sent.
             self._record(error)
-            self.rotor_feedback.reset()
+            self.rotors.reset()
 
     def forget(self) -> None:
         """Discard poses, commands and plans, as after a jump of the clock; the goal stays."""
         self.estimator.forget()
-        self._sent.clear()
-        self.rotor_feedback.reset()
+        self.rotors.clear()
         self.following.begin_anew()
 
     def speeds_at(self, time: float) -> Vector:
         """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
-        return self._sent.at(time)
+        return self.rotors.at(time)
 
     def is_at_rest(self, now: float) -> bool:
         """Return whether no rotor moves at `now` [s] or later by the commands sent."""
-        return not self._sent.moves_after(now)
+        return not self.rotors.moves_after(now)
 
     def awaits_start(self, now: float) -> bool:
         """Return whether pose and goal are known and nothing moves at `now` [s] or later."""
@@ -309,10 +309,10 @@ class Controller:
                 # Once: a strategy may take as long to reset as to set up.
                 self._interrupted = True
                 self.following.begin_anew()
-                self.rotor_feedback.resume()
+                self.rotors.resume()
             return self._without_pose(time, Kind.NO_FRESH_POSE, age)
         self._interrupted = False
-        self._is_carried = self._is_carried and self._sent.moves_after(time)
+        self._is_carried = self._is_carried and self.rotors.moves_after(time)
         if self._is_carried:
             jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
             return Decision((jumped,), self.sending.stop(time, jumped.kind), None, pose_age=age)
@@ -350,7 +350,7 @@ class Controller:
             is_new=before is None or plan is not before.plan,
         )
         return self.following.judged(
-            time, decision, active, newest[1], self._sent.at, self._settings
+            time, decision, active, newest[1], self.rotors.at, self._settings
         )
 
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:

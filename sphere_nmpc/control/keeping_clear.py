@@ -69,7 +69,7 @@ def clear_command(
     stop, as the next plan, after `period` [s], corrects that; where that is not, only a stop. All
     are joined to the speeds in force, see `Commands.joined`.
     """
-    durations, speeds = commands.sent.pieces(situation.time, start)
+    durations, speeds = commands.rotors.pieces(situation.time, start)
     times, late = np.append(0.0, np.cumsum(durations)), start - hold.start
     for sent in (
         commands.joined(hold, start, period),

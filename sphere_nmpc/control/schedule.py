@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.settings import ControllerSettings
 
 _AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))

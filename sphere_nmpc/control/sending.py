@@ -8,8 +8,9 @@ import numpy as np
 
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.keeping_clear import clear_command
-from sphere_nmpc.control.link import NEGLIGIBLE, Commands, RotorFeedback
+from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.planner import Planner
+from sphere_nmpc.estimation.rotor_history import NEGLIGIBLE
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
@@ -36,8 +37,6 @@ class Sending:
         self._robot, self._record = robot, record
         self.commands = Commands(robot)
         """Holds that were sent."""
-        self.rotor_feedback = RotorFeedback(self.commands.sent, robot.max_rotor_acceleration)
-        """What measured rotor speeds show of the commands on their way."""
 
     def send(
         self, decision: Decision, hold: FirstOrderHold, now: float, planner: Planner,
@@ -61,10 +60,9 @@ class Sending:
             else:
                 sent = commands.joined(hold, start, period)
             stops = not decision.solved and decision.mode is not Kind.FALLBACK
-            if stops and not sent.speeds.any() and not commands.sent.moves_after(start):
+            if stops and not sent.speeds.any() and not commands.rotors.moves_after(start):
                 return None
             commands.begin(hold, sent, stops)
-        self.rotor_feedback.sent(sent)
         commands.record(sent)
         return sent
 
@@ -99,7 +97,7 @@ class Sending:
         It is that at a pose, shape (6,): in half a second the sphere turns by so little that this
         changes the heat by 1 %.
         """
-        durations, speeds = self.commands.sent.pieces(start, end)
+        durations, speeds = self.commands.rotors.pieces(start, end)
         states = np.tile(pose, (durations.size + 1, 1))
         hold = FirstOrderHold(np.append(0.0, np.cumsum(durations)), speeds)
         each = torques(states, hold, constants, self._robot.rotor_axial_inertia)

@@ -4,7 +4,8 @@
 
 from collections import deque
 
-from sphere_nmpc.control.recent import Recent
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.recent import Recent
 
 MOST_AHEAD = 0.5
 """How far ahead of its clock a command may begin [s]; a smaller step of the clock is no jump."""
@@ -143,10 +144,16 @@ class MissedSamples:
         """Share of the instants missed lately; 0 below `_REPORTED_SHARE`, and
         until there are some in each interval."""
 
-    @property
-    def span(self) -> float:
-        """Wall time over which the share is taken [s]."""
-        return sum(self._spans)
+    def faults(self, period: float) -> list[Condition]:
+        """Return the fault of instants missed at a control period [s]; empty without."""
+        if not self.share:
+            return []
+        return [Condition(
+            Kind.MISSED_SAMPLES,
+            f"given {100.0 * self.share:.3g} % of the sampling instants of the last "
+            f"{sum(self._spans):.0f} s without a plan, at {1.0 / period:.4g} Hz, expected none; a "
+            "lower control_rate, thread_priority: 1 or a free processor core helps",
+        )]
 
     def read(self, wall: float, used: int, missed: int) -> None:
         """Take the numbers of instants with and without a plan so far, at wall time `wall` [s]."""

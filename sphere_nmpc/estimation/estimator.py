@@ -18,7 +18,7 @@ from sphere_nmpc.estimation.pose_filter import (
     PoseFilter,
 )
 from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
@@ -76,7 +76,7 @@ class Estimator:
         Noise of the poses, and whether constants and momentum are estimated.
     nominal : LumpedConstants
         Constants of the robot as built.
-    sent : SentInputs
+    sent : RotorHistory
         The rotor speeds sent.
     worker : Worker, optional
         Fits the moving horizon beside the control loop; by default it is fitted in line.
@@ -88,7 +88,7 @@ class Estimator:
         self,
         settings: ControllerSettings,
         nominal: LumpedConstants,
-        sent: SentInputs,
+        sent: RotorHistory,
         worker: Worker | None = None,
         acceleration: float = float("inf"),
     ) -> None:

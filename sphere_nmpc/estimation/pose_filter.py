@@ -25,7 +25,7 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     with_block,
 )
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
@@ -36,10 +36,8 @@ from sphere_nmpc.model.error_state import (
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
+from sphere_nmpc.reporting.stamps import SHORT_GAP
 from sphere_nmpc.solver.roll_out import propagate, roll_out
-
-SHORT_GAP = 0.1
-"""Share of the mean spacing of poses [-] below which two are of a bunch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +108,7 @@ class PoseFilter:
     at least the spacing apart that poses within an interval have.
     """
 
-    def __init__(self, sent: SentInputs, scaling: Scaling) -> None:
+    def __init__(self, sent: RotorHistory, scaling: Scaling) -> None:
         self._sent, self._scaling = sent, scaling
         self.poses: list[MeasuredPose] = []
         """Poses in the order of their times, since the anchor or the first one after a gap."""
@@ -192,7 +190,7 @@ class PoseFilter:
         """Return how far a pose is from its prediction by rotor speeds from an earlier one.
 
         That is the normalised square of the innovation; the speeds are given as in
-        `SentInputs.pieces`.
+        `RotorHistory.pieces`.
         """
         state, scaling = np.concatenate((start.pose, self._anchor.state[MOMENTUM])), self._scaling
         given = durations, self._constants, self._max_step, self.disturbance

@@ -6,9 +6,9 @@ The table is `Kind`. From it follow the level of status and diagnostics, the err
 action, and the words of log and status, which `docs/when_it_does_not_move.md` explains.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum, IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Severity(IntEnum):
@@ -23,6 +23,10 @@ class Severity(IntEnum):
 
 
 OK, WARN, STALE, ERROR = Severity
+
+
+Report = tuple[Severity, str, Mapping[str, Any]]
+"""How a node, or one of its tasks, stands: how severe it is, a message, and values by name."""
 
 
 class Condition(NamedTuple):
@@ -140,3 +144,11 @@ class Kind(Enum):
 def worst_first(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
     """Return conditions by severity, those of the same one in the order given."""
     return tuple(sorted(conditions, key=lambda condition: -condition.kind.severity))
+
+
+def with_conditions(report: Report, found: Sequence[Condition]) -> Report:
+    """Return a report with conditions, the first of which takes precedence over its message."""
+    if not found:
+        return report
+    severity, _, values = report
+    return max(severity, *(one.kind.severity for one in found)), str(found[0]), values

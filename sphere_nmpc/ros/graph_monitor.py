@@ -80,9 +80,12 @@ class GraphMonitor:
 
     def further_publishers(self, clocked: bool) -> list[Condition]:
         """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
-        pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))
-        clocks = self.publishers(clock, Clock) if clocked else []
-        return further_publishers(pose, self.publishers(pose, PoseStamped), clock, clocks)
+        topics = [("/clock", Clock, CLOCK_EFFECT)] if clocked else []
+        found: list[Condition] = []
+        for name, kind, effect in (*topics, ("pose", PoseStamped, POSE_EFFECT)):
+            topic = self._node.resolve_topic_name(name)
+            found += several_publishers(topic, self.publishers(topic, kind), effect)
+        return found
 
     def clock_topics(self) -> list[str]:
         """Return the topics on which a clock is published."""
@@ -165,16 +168,6 @@ def full_name(info: TopicEndpointInfo) -> str:
         return UNKNOWN
     name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
     return name if _NAME.fullmatch(name) else INVALID
-
-
-def further_publishers(
-    pose_topic: str, poses: Sequence[str], clock_topic: str, clocks: Sequence[str]
-) -> list[Condition]:
-    """Return the faults of several nodes `clocks` or `poses` that publish clock or pose."""
-    return [
-        *several_publishers(clock_topic, clocks, CLOCK_EFFECT),
-        *several_publishers(pose_topic, poses, POSE_EFFECT),
-    ]
 
 
 def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[Condition]:

@@ -4,6 +4,7 @@
 
 import itertools
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from functools import lru_cache
@@ -13,13 +14,14 @@ import numpy as np
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
+from sphere_nmpc.estimation.rotor_history import enter, knots_of
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
+from sphere_nmpc.model.state import POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import (
@@ -216,26 +218,10 @@ def followed_inputs(holds: Iterable[FirstOrderHold], duration: float) -> FirstOr
     The commands are in the order in which they took effect; each replaces the previous ones from
     its first knot on.
     """
-    times: list[float] = []
-    speeds: list[Vector] = []
+    taken = deque[FirstOrderHold]()
     for hold in holds:
-        while times and times[-1] >= hold.start - 1e-9:
-            times.pop()
-            speeds.pop()
-        times.extend(float(t) for t in hold.times)
-        speeds.extend(hold.speeds)
-    if not times:
-        return FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
-    whole = FirstOrderHold(np.array(times), np.array(speeds))
-    if whole.start > 0.0:
-        # Before the first command the rotors are at rest.
-        times.insert(0, 0.0)
-        speeds.insert(0, np.zeros(INPUT_SIZE))
-    inside = [i for i, time in enumerate(times) if time < duration - 1e-9]
-    return FirstOrderHold(
-        np.append([times[i] for i in inside], duration),
-        np.vstack([*(speeds[i] for i in inside), whole.at(duration)]),
-    )
+        enter(hold, taken)
+    return FirstOrderHold(*knots_of(taken, 0.0, duration))
 
 
 def _stability_of(

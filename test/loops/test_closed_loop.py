@@ -261,24 +261,24 @@ class LinkedLoop(SampledLoop):
         for time, speeds in self.joints.receive(true):
             controller.observe_rotors(time, speeds)
         for time, state in self.poses.receive(true):
-            controller.rotor_feedback.poses.received(time, now - time)
+            controller.link.pose_received(time, now - time)
             controller.observe(time, state)
         while self._copies and self._copies[0][0] <= true:
             self.commands.send(true, self._copies.pop(0)[1])
         if count % 25 == 0:
-            decision = controller.decide(now + controller.rotor_feedback.window)
+            decision = controller.decide(now + controller.link.window)
             sent = controller.commit(decision, now)
             if sent is not None:
                 self.commands.send(true, sent)
-                again = (1, 2) if controller.rotor_feedback.shows_link else ()
+                again = (1, 2) if controller.link.is_apparent else ()
                 self._copies = [(true + i * 0.02, sent) for i in again]
 
 
 def test_without_a_link_nothing_is_committed_ahead() -> None:
     loop = LinkedLoop(delay=0.0)
     loop.go()
-    feedback = loop.controller.rotor_feedback
-    assert feedback.window == feedback.loss == 0.0 and not feedback.shows_link
+    link = loop.controller.link
+    assert link.window == link.loss == 0.0 and not link.is_apparent
 
 
 WRONG_SPEEDS: dict[str, Callable[[Vector], Vector]] = {
@@ -308,7 +308,7 @@ def test_speeds_of_rotors_that_do_not_turn_are_believed() -> None:
     loop.commands = Wire(0, 0.0, loss=1.0, bursts=())
     while loop.time < 1.0:
         loop.step()
-    sent = loop.controller.sending.commands.sent
+    sent = loop.controller.rotors
     assert sent.believes_measured and not sent.contradicted
     assert not sent.at(1.0).any()
 
@@ -330,7 +330,7 @@ def test_lost_commands_are_no_other_plant_and_cost_little_time(
     # Up to 5e-4 with measured rotor speeds, up to 1.5e-2 without.
     assert estimator.plant.noise < 1e-3
     assert is_zero(estimator.momentum, estimator.disturbance)
-    assert 0.02 < loop.controller.rotor_feedback.window < 0.3
+    assert 0.02 < loop.controller.link.window < 0.3
     # Without a link 4.0 s.
     assert took < 6.0
 
@@ -338,7 +338,7 @@ def test_lost_commands_are_no_other_plant_and_cost_little_time(
 def test_goal_is_reached_without_joint_states() -> None:
     """Commands are then expected to be lost as often as poses."""
     loop = LinkedLoop(loss=0.05, measured=None)
-    took, feedback = loop.go(), loop.controller.rotor_feedback
-    assert 0.015 < feedback.window < 0.03 and 0.02 < feedback.loss < 0.1
+    took, link = loop.go(), loop.controller.link
+    assert 0.015 < link.window < 0.03 and 0.02 < link.loss < 0.1
     # Over twelve goals within 0.8 m from 4.0 to 4.4 s; without the window up to 26 s, or never.
     assert took < 6.0

@@ -10,10 +10,10 @@ from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 from sampled_loop import ROBOT, SampledLoop
 
 from sphere_nmpc.control.active_course import ActiveCourse
+from sphere_nmpc.control.status import ControllerStatus
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import POSITION, Vector, upright_state
-from sphere_nmpc.ros.controller.status import ControllerStatus
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal import strategy
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings

@@ -168,7 +168,7 @@ def test_turn_about_the_vertical_is_corrected_by_the_momentum() -> None:
     loop = loop_of(start)
     loop.push_momentum(np.array([0.0, 30.0, 0.0]))
     speeds = rest_speeds(loop.momentum, start[QUATERNION])  # which hold the momentum already
-    loop.controller.sending.commands.sent.record(FirstOrderHold.constant(0.0, speeds))
+    loop.controller.rotors.record(FirstOrderHold.constant(0.0, speeds))
     loop.simulator.speed_reference = speeds
     loop.plant.advance(speeds, 1e-9)
     loop.plant.displace(start)

@@ -531,8 +531,8 @@ def test_measured_rotor_speeds_are_heard_while_they_are_needed(robot, monkeypatc
         assert time_of == pytest.approx(robot.now * 1e-9), "not the one of another clock"
         assert speeds.tolist() == SPEEDS.tolist()
 
-    # Whether they are is a test of `RotorFeedback`; poses read late look like those of a link.
-    monkeypatch.setattr(type(controller.rotor_feedback), "is_needed", False)
+    # Whether they are is a test of `Link`; poses read late look like those of a link.
+    monkeypatch.setattr(type(controller.link), "needs_speeds", False)
     robot.graph.until(lambda: publisher.get_subscription_count() == 0)
 
 

@@ -70,7 +70,7 @@ def test_node_goes_on_where_the_sphere_rests_as_it_did(robot, ended) -> None:
     robot.start(initial_state=[9.0, 9.0, 1.0, 0.0, 0.0, 0.0])
     robot.stay(3.0)
     assert is_at_place(robot)
-    deviation = float(robot.node._reports._last[2]["position_deviation_m"])
+    deviation = float(robot.node._reports.report[2]["position_deviation_m"])
     assert 1e-3 < deviation < 0.01
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import step_function, steps_for
@@ -37,18 +37,18 @@ def integrate(
     return x
 
 
-def random_ramps(rng: np.random.Generator, until: float, largest: float = 100.0) -> SentInputs:
+def random_ramps(rng: np.random.Generator, until: float, largest: float = 100.0) -> RotorHistory:
     """Return ramps of 0.5 s between random speeds up to `largest` [rad/s], from rest at 0 s."""
     times = np.arange(0.0, until, 0.5)
     speeds = rng.uniform(-largest, largest, (times.size, 2))
     speeds[0] = 0.0
-    sent = SentInputs()
+    sent = RotorHistory()
     sent.record(FirstOrderHold(times, speeds))
     return sent
 
 
 def predicted(
-    sent: SentInputs, state: Vector, start: float, end: float, constants: Vector,
+    sent: RotorHistory, state: Vector, start: float, end: float, constants: Vector,
     disturbance: Disturbance = UNDISTURBED,
 ) -> Vector:
     """Return the state, (9,), at `end` [s] from that at `start` by the speeds sent."""

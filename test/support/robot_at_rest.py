@@ -90,5 +90,5 @@ class RobotAtRest:
     @property
     def status(self) -> tuple[Severity, str]:
         """Level and message of the newest status."""
-        level, message, _ = self.node._reports._last
+        level, message, _ = self.node._reports.report
         return level, message

@@ -11,9 +11,8 @@ services    ~/reset, ~/pause, ~/step, ~/push; with an odometry node calls its ~/
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import Executor
@@ -28,7 +27,7 @@ from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS, counted
-from sphere_nmpc.reporting.conditions import OK, WARN, Condition, Kind, Severity
+from sphere_nmpc.reporting.conditions import OK, WARN, Condition, Kind, Report
 from sphere_nmpc.ros.cdr import Pose, fields
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
@@ -337,7 +336,7 @@ class SimulatorNode(GuardedNode):
         response.message = f"running as far as t = {until / NANOSECONDS:.3f} s"
         return response
 
-    def _report_clock(self) -> tuple[Severity, str, Mapping[str, Any]]:
+    def _report_clock(self) -> Report:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
         self._controllers.update()
         if self._first_pose is not None and self._has_pose:
@@ -382,7 +381,7 @@ class SimulatorNode(GuardedNode):
                 faults.append(Condition(Kind.LIMITS_OF, line, controller))
         return faults
 
-    def _report_commands(self) -> tuple[Severity, str, Mapping[str, Any]]:
+    def _report_commands(self) -> Report:
         self._event_log.flush()
         counts = dict(self._fault_log.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)

@@ -10,7 +10,7 @@ from motions import LUMPED, START, predicted, random_ramps
 
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model.disturbance import (
     UNDISTURBED,
@@ -137,7 +137,7 @@ def test_order_of_arrival_does_not_matter_within_an_interval() -> None:
 
 
 def test_single_outlier_is_rejected_and_a_few_are_believed() -> None:
-    rng, found = np.random.default_rng(11), Estimator(NOISY, LUMPED, SentInputs())
+    rng, found = np.random.default_rng(11), Estimator(NOISY, LUMPED, RotorHistory())
     elsewhere = apply_error(START, np.array([0.05, -0.03, 0.0, 0.2, 0.0]))
     for k in range(80):
         seen = elsewhere if k in (31, 45) or k >= 60 else START

@@ -125,9 +125,9 @@ class ControllerStatus:
             "failures": controller.failures,
             "missed_ticks": missed,
             "late_poses": controller.late_poses,
-            "commitment_window_s": controller.rotor_feedback.window,
-            "command_delay_s": controller.rotor_feedback.delay,
-            "command_loss": controller.rotor_feedback.loss,
+            "commitment_window_s": controller.link.window,
+            "command_delay_s": controller.rotors.delay,
+            "command_loss": controller.link.loss,
             **self._plant_values(),
             **momentum_values(
                 decision.momentum, decision.disturbance, self._robot,
@@ -141,8 +141,8 @@ class ControllerStatus:
             **self._stability_values(),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
-            "pose_delay_s": controller.rotor_feedback.poses.delay,
-            "pose_loss": controller.rotor_feedback.poses.loss,
+            "pose_delay_s": controller.link.pose_delay,
+            "pose_loss": controller.link.pose_loss,
             **({} if controller.floor.is_empty else {"clearance_m": plan.clearance}),
         }
 

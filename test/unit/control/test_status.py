@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.control.status import ControllerStatus, momentum_values
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.course import Leg
@@ -26,7 +27,6 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.reporting.conditions import Kind
-from sphere_nmpc.ros.controller.status import ControllerStatus, momentum_values
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 
 ROOT = Path(__file__).parents[3]

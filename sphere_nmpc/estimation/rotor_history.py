@@ -21,7 +21,7 @@ LONGEST_WINDOW = 0.3
 """Largest commitment window [s]: later commands count as lost, and after as long without measured
 speeds none are awaited."""
 _MIN_DIFFERENCE = 0.5
-"""Difference of two commands above which measured speeds tell which one is followed [rad/s]."""
+"""Difference of two commands above which measured speeds show which one is followed [rad/s]."""
 _MAX_DISTANCE_RATIO = 0.5
 """Distance to the command that is followed over that to the other one, below which it is clear."""
 NEGLIGIBLE = 0.025
@@ -93,7 +93,7 @@ class RotorHistory:
 
     @property
     def is_known(self) -> bool:
-        """Whether enough commands have been followed to tell how late they are."""
+        """Whether enough commands have been followed to know how late they are."""
         return self._known >= RECENT
 
     @property
@@ -144,7 +144,7 @@ class RotorHistory:
         if errors[best] > _MIN_DIFFERENCE:
             self._between.append((time, speeds))
             if not is_late:
-                return  # The next measurement tells whether the rotors are late or weak.
+                return  # The next measurement shows whether the rotors are late or weak.
             steepest = _distance(speeds, before) / (time - since)
             is_late = self._waiting[best][1] or steepest > (1.0 - SHARE_STEP) * self._acceleration
         self._took_effect(best, is_late, time, speeds)
@@ -244,7 +244,7 @@ class RotorHistory:
             self._holds = self._sent if self.contradicted else self._corrected
 
     def is_pending(self, time: float, now: float) -> bool:
-        """Return whether measured speeds will tell soon what the rotors did up to `time` [s].
+        """Return whether measured speeds will show soon what the rotors did up to `time` [s].
 
         Not if none were received for a while at `now` [s].
         """

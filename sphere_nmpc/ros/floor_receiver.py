@@ -24,7 +24,7 @@ from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
 from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.reporting.fault_log import FaultLog
-from sphere_nmpc.ros.cdr import floor_message
+from sphere_nmpc.ros.cdr_messages import floor_message
 from sphere_nmpc.ros.floor_messages import (
     LARGEST_KEEPOUT,
     LARGEST_MAP,

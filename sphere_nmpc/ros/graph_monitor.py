@@ -192,7 +192,7 @@ def names_of(nodes: Iterable[str]) -> str:
 
 
 def network_fault(announced: Set[str], present: Set[str]) -> list[Condition]:
-    """Return the fault of a node that other machines are not told the right address of.
+    """Return the fault of a node whose right address other machines do not get.
 
     `announced` are the addresses of this machine when the node started, which Fast DDS announces
     as long as the node runs, `present` those that it has now.

@@ -28,7 +28,7 @@ discovered each other by then, and with checks every half second faults are logg
 
 @dataclass(frozen=True)
 class Source:
-    """Stamped messages that a node depends on: type, and words of what is told of them."""
+    """Stamped messages that a node depends on: type, and words for what they are."""
 
     message: type
     missing: Kind
@@ -110,13 +110,13 @@ class InputMonitor:
             if source is not first and wall - watch.seen_at >= SILENCE_LIMIT:
                 continue
             topic = self.topics[source]
-            told = find_faults(GraphState(
+            found_there = find_faults(GraphState(
                 follows_clock, self.time, wall - self._time_changed_at, wall - watch.seen_at,
                 watch.age, timeout, clocks, graph.publishers(topic, source.message),
                 self._clock_topic, topic, others, watch.has_stamp, source, watch.reported,
             ))
             names = {fault.name for fault in found}
-            found += [fault for fault in told if fault.name not in names]
+            found += [fault for fault in found_there if fault.name not in names]
         # A comparison of all profiles takes longer than a tick, and before the first one a
         # publisher of another type may be the only one that has been discovered.
         if wall >= self._compared_at + SILENCE_LIMIT:

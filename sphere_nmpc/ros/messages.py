@@ -131,7 +131,7 @@ def odometry_to_ros(
 
     `velocity` is that of the centre [m/s; world frame], shape (3,), `body_rate` the angular
     velocity [rad/s; body frame], shape (3,); `covariances` are those of pose, about the fixed axes
-    of the world, and twist, shape (6, 6) each, None where they are not told. For the others see
+    of the world, and twist, shape (6, 6) each, None where they are not known. For the others see
     `pose_message`.
     """
     message = Odometry()

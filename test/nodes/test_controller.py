@@ -29,7 +29,8 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import NANOSECONDS, stamp_text
 from sphere_nmpc.reporting.conditions import Kind
-from sphere_nmpc.ros.cdr import hold_and_stamp, joint_states_message
+from sphere_nmpc.ros.cdr import hold_and_stamp
+from sphere_nmpc.ros.cdr_messages import joint_states_message
 from sphere_nmpc.ros.controller import node as controller_node
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.controller.node import ControllerNode

@@ -21,7 +21,7 @@ from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, angle_error, position_error, upright_state
 from sphere_nmpc.reporting.conditions import Kind
-from sphere_nmpc.ros.cdr import clock_message
+from sphere_nmpc.ros.cdr_messages import clock_message
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros, stamp_to_ros

@@ -11,7 +11,7 @@ from std_msgs.msg import Bool
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Kind
-from sphere_nmpc.ros.cdr import clock_message
+from sphere_nmpc.ros.cdr_messages import clock_message
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros

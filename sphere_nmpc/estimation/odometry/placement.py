@@ -136,12 +136,12 @@ class Placement:
         `shown` are the vertical by gravity and its deviation, `taken` are the vertical and the
         covariance of the tilt that take the place of the given ones then.
         """
-        told, is_opposite = contradiction(given, *shown)
-        if told:
-            self._faults.see(Kind.TILT_REPLACED, given.time, told)
+        fault, is_opposite = contradiction(given, *shown)
+        if fault:
+            self._faults.see(Kind.TILT_REPLACED, given.time, fault)
         if is_opposite:
-            self._faults.lost(given.time, told)
-        if told or not has_tilt(given.covariance):
+            self._faults.lost(given.time, fault)
+        if fault or not has_tilt(given.covariance):
             given = with_vertical(given, *taken)
         return replaced(belief, given.pose, given.covariance)
 

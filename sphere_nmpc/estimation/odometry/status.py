@@ -76,7 +76,7 @@ class SensorStream(StampWatch):
 
 def status_values(
     odometry: Odometry, imu: SensorStream, joints: SensorStream, now: int,
-    told: Sequence[Condition],
+    conditions: Sequence[Condition],
 ) -> dict[str, Any]:
     """Return the values at a stamp [ns], with the names of the conditions that are reported."""
     estimate = odometry.estimate
@@ -94,5 +94,5 @@ def status_values(
         "joint_states_rate_hz": joints.rate,
         "fixes_used": odometry.fixes_used,
         "fixes_left_out": odometry.fixes_left_out,
-        "conditions": ", ".join(one.name for one in told),
+        "conditions": ", ".join(one.name for one in conditions),
     }

@@ -53,7 +53,7 @@ _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SELDOM = 0.05
 """Control period above which a command that may be lost is sent again before the next one [s]."""
-_GOAL_TOLD_EVERY = 0.1
+_GOAL_LOGGED_EVERY = 0.1
 """Least wall time between two reports of one goal that is given again and again [s]."""
 _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
@@ -94,7 +94,7 @@ class ControllerNode(ClockedNode):
         self.controller = Controller(settings, robot, worker=self._worker)
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
-        self._goal_told = -math.inf
+        self._goal_logged_at = -math.inf
         keep = settings.goal_memory
         self._stored_goal = Stored(
             goal_memory(stored_file(self, "goal"), keep) if keep > 0.0 else None,
@@ -296,9 +296,9 @@ class ControllerNode(ClockedNode):
         given = None if now is None else clock.own_time(goals.stamp, now)
         is_new = self.controller.following.take(goals, now if given is None else given)
         self._stored_goal.supersede()
-        if not is_new and wall < self._goal_told + _GOAL_TOLD_EVERY:
+        if not is_new and wall < self._goal_logged_at + _GOAL_LOGGED_EVERY:
             return
-        self._goal_told = wall
+        self._goal_logged_at = wall
         self._reports.goal(clock.stamp(), is_new)
         if not is_new:
             return
@@ -374,7 +374,7 @@ class ControllerNode(ClockedNode):
         watch = self._control_clock.watch
         if not watch.is_steady:
             if self._monitor.is_steady:
-                self._check()  # to be told at once, and not at each of many jumps
+                self._check()  # to be reported at once, and not at each of many jumps
             return
         if not watch.has_returned:
             self._event_log.report(

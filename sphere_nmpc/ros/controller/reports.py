@@ -278,8 +278,8 @@ class ControllerReports:
             (Kind.POSE_JUMPED, gate.jumps, gate.last_jump),
             (Kind.POSE_LEFT_OUT, gate.outliers, gate.last_outlier),
         ):
-            is_told = kind is Kind.CONTROLLER_FAILED and mode is Kind.FALLBACK
-            if log.has_risen(kind.log, count) and not is_told:
+            is_reported = kind is Kind.CONTROLLER_FAILED and mode is Kind.FALLBACK
+            if log.has_risen(kind.log, count) and not is_reported:
                 log.report(kind.log, text)
 
     def _find_warnings(self, decision: Decision) -> tuple[Condition, ...]:

@@ -53,7 +53,7 @@ class OdometryReports:
         self._monitor = InputMonitor(node, fault_log, streams)
         self.pose: Vector | None = None
         """Last pose that was published, shape (6,)."""
-        self._told: set[str] = set()
+        self._logged: set[str] = set()
         self.report: Report = STALE, "no reading yet", {}
         """The newest status."""
         self._diagnostics = Diagnostics(
@@ -84,11 +84,11 @@ class OdometryReports:
         passing = [one for one in conditions if one.kind.severity in _PASSING]
         self._tell(odometry, passing)
         # What is wrong first: it may be what the calibration waits for.
-        told = (*self._monitor.faults, *passing)
-        values = status_values(odometry, self.imu, self.joints, clock.stamp(), told)
-        is_begun = told or odometry.estimate is not None
+        conditions = (*self._monitor.faults, *passing)
+        values = status_values(odometry, self.imu, self.joints, clock.stamp(), conditions)
+        is_begun = conditions or odometry.estimate is not None
         severity, message = (OK, "estimating") if is_begun else (STALE, "no reading yet")
-        self.report = with_conditions((severity, message, values), told)
+        self.report = with_conditions((severity, message, values), conditions)
         self._diagnostics.status.publish(self._diagnostics.message(self.report))
 
     def _tell(self, odometry: Odometry, passing: Sequence[Condition]) -> None:
@@ -96,9 +96,9 @@ class OdometryReports:
         now = {one.name: one.text for one in passing}
         if odometry.is_calibrated:
             now["calibrated"] = odometry.calibration
-        for name in now.keys() - self._told:
+        for name in now.keys() - self._logged:
             self._event_log.report(name, now[name])
-        self._told = set(now)
+        self._logged = set(now)
 
     def _located(self, one: Condition) -> Condition:
         """Return a condition, that of a silent sensor with what the graph shows of its topic.

@@ -26,7 +26,6 @@ from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros, stamp_to_ros
 from sphere_nmpc.ros.odometry.node import OdometryNode
-from sphere_sim.ros.simulator import node as simulator_node
 from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.world.robot_description import make_urdf
 
@@ -74,7 +73,7 @@ class Loop:
         message.header.stamp = stamp_to_ros(stamp)
         message.pose.pose = pose_to_ros(pose, 0, 0.0).pose
         message.pose.covariance = covariance
-        self.graph.publisher(PoseWithCovarianceStamped, topic).publish(message)
+        self.graph.send(topic, message)
 
     def values(self) -> dict[str, str]:
         """Return the values of the next status."""
@@ -84,11 +83,8 @@ class Loop:
 
 
 @pytest.fixture(scope="module")
-def loop(tmp_path_factory) -> Iterator[Loop]:
-    with pytest.MonkeyPatch.context() as patch, running_graph() as graph:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))  # the stored pose
-        # All nodes are served in turn: one that waits longer keeps the others waiting.
-        patch.setattr(simulator_node, "_REPEAT_EVERY", 0.01)
+def loop() -> Iterator[Loop]:
+    with running_graph() as graph:
         yield Loop(graph)
 
 
@@ -105,7 +101,7 @@ def test_poses_begin_after_the_calibration_with_the_stamps_of_the_readings(loop)
 
 
 def test_goal_is_reached_as_the_true_pose_shows(loop) -> None:
-    loop.graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(GOAL, 0, 0.3))
+    loop.graph.send_goal(GOAL)
     loop.graph.until(lambda: loop.controller.controller.at_goal)
     truth = pose_from_ros(loop.truths[-1])
     assert position_error(truth, GOAL) < 0.03 and angle_error(truth, GOAL) < 0.05
@@ -167,18 +163,16 @@ def test_no_pose_is_published_while_the_position_is_not_known(loop) -> None:
 def test_reading_of_what_is_not_measured_is_refused(loop) -> None:
     reading = Imu(header=loop.imu[-1].header)
     reading.angular_velocity_covariance[0] = -1.0
-    loop.graph.publisher(Imu, "imu").publish(reading)
+    loop.graph.send("imu", reading)
     loop.graph.until(lambda: loop.node._fault_log.counts["imu refused"])
     assert loop.error[0] < 0.01
 
 
 def test_reset_of_the_simulator_in_motion_begins_both_anew(loop) -> None:
     begun = loop.simulator.simulator.time
-    loop.graph.publisher(PoseStamped, "goal_pose").publish(
-        pose_to_ros(BACK, round(begun * 1e9) + 1, 0.3)
-    )
+    loop.graph.send_goal(BACK, round(begun * 1e9) + 1)
     loop.graph.until(lambda: np.abs(loop.simulator.simulator.plant.rotor_speeds).max() > 20.0)
-    answer = loop.graph.call(Trigger, "simulator/reset", Trigger.Request())
+    answer = loop.graph.call(Trigger, "simulator/reset")
     assert answer.success and answer.message.endswith("the odometry begins anew")
     reset_at = float(answer.message.partition("t = ")[2].partition(" s")[0])
     loop.graph.until(lambda: loop.simulator._begun_at < math.inf)

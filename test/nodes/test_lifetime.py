@@ -30,10 +30,12 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 pytestmark = pytest.mark.slow
 
 CASE = PAPER_CASES[1]
+
+
 def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
     trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
     commands = graph.collect(Float64MultiArray, "rotor_commands")
-    with started("controller", "-p", "use_sim_time:=true", "-p", "strategy:=paper") as controller:
+    with started("controller", use_sim_time=True, strategy="paper") as controller:
         goals = graph.publisher(PoseStamped, "goal_pose")
         poses = graph.publisher(PoseStamped, "pose")
         clock = graph.publisher(Clock, "/clock")

@@ -18,11 +18,6 @@ AHEAD = 1000 * NANOSECONDS
 UPRIGHT = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 
 
-@pytest.fixture(autouse=True)
-def cache(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-
-
 def once(number: int, now: int) -> int:
     return now + (AHEAD if number in (1, 150) else 0)
 

@@ -21,11 +21,6 @@ from sphere_nmpc.ros.messages import pose_to_ros
 PLACE = upright_state(1.2, -0.4, 0.7)
 
 
-@pytest.fixture(autouse=True)
-def cache(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-
-
 def put(robot: RobotAtRest, pose: Vector) -> None:
     message = PoseWithCovarianceStamped()
     message.pose.pose = pose_to_ros(pose, 0, 0.3).pose

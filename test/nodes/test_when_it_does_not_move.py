@@ -55,8 +55,7 @@ def pattern(words: str) -> re.Pattern[str]:
 
 
 @pytest.fixture(autouse=True)
-def network(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def network(monkeypatch) -> None:
     monkeypatch.setattr(graph_monitor, "network_addresses", frozenset)
     monkeypatch.setattr(graph_monitor, "reaches_other_machines", lambda: True)
 
@@ -134,7 +133,7 @@ def frames_without_the_sphere(graph) -> None:
         CASE.goal if number % 20 == 10 else CASE.start, now
     ))
     graph.start(ControllerNode)
-    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.start, 0, 0.3))
+    graph.send_goal(CASE.start)
 
 
 class Slow(Standing):
@@ -171,7 +170,7 @@ def rate_beyond_the_machine(graph) -> None:
     robot(graph, time.time)
     node = graph.start(ControllerNode, control_rate=50.0)
     node.controller.planner.strategy = Slow()
-    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
+    graph.send_goal(CASE.goal)
 
 
 def lockstep_without_controller(graph) -> None:
@@ -194,8 +193,7 @@ def rolling(graph, **robot: float) -> ControllerNode:
     """Roll a simulated robot with these parameters, that of the controller is the default one."""
     graph.start(SimulatorNode, **{f"robot.{name}": value for name, value in robot.items()})
     controller = graph.start(ControllerNode, use_sim_time=True)
-    goal = graph.publisher(PoseStamped, "goal_pose")
-    goal.publish(pose_to_ros(upright_state(1.0, -1.0, 1.57), 0, 0.3))
+    graph.send_goal(upright_state(1.0, -1.0, 1.57))
     return controller
 
 

@@ -126,7 +126,10 @@ def test_arrival_and_distance_are_told_from_the_first_plan_on() -> None:
             break
         arrivals.append(loop.decision.plan.arrival)
         ways.append(loop.decision.plan.way_left(loop.time))
-    assert abs(np.nanmedian(arrivals) - (loop.time - loop.settings.period)) < 0.3
+    # It has to stay for a sample period, from the first sample within the tolerance on, which it
+    # may enter just before it arrives.
+    first = loop.time - 2.0 * loop.settings.period
+    assert first - loop.settings.period < np.nanmedian(arrivals) < first + 0.05
     rolled = np.sum(np.linalg.norm(np.diff(loop.places, axis=0), axis=1))
     # The pieces between knots count as straight, and the first plan was replaced by a better one.
     assert 0.8 * rolled < ways[0] < 1.1 * rolled and ways[-1] < 0.05
@@ -224,28 +227,30 @@ def followed(
     return loop, float(position), float(np.degrees(angle))
 
 
-@pytest.mark.parametrize(("noise", "position", "angle"), [(1e-3, 2e-3, 0.1), (5e-3, 1e-2, 3.0)])
-def test_sphere_rests_at_a_noisy_goal(noise: float, position: float, angle: float) -> None:
-    loop, *found = followed(line(np.zeros(2), 1), Orientation.FULL, noise)
-    assert found[0] < position and found[1] < angle
+@pytest.mark.parametrize("noise", [1e-3, 5e-3])
+def test_sphere_rests_at_a_noisy_goal(noise: float) -> None:
+    loop, position, angle = followed(line(np.zeros(2), 1), Orientation.FULL, noise)
+    # A goal that is given is off by 1.2 times the noise in the median, and is turned by nothing.
+    assert position < noise and angle < 0.25
     assert loop.controller.at_goal
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.3, 0.5])
 def test_point_that_moves_is_met_and_kept(speed: float) -> None:
     loop, position, _ = followed(line(speed * np.array([0.8, -0.6]), 2), Orientation.ANY)
-    assert position < 0.02
+    assert position < 0.01 * speed, "what it moves in 10 ms"
     assert loop.controller.goal_speed(loop.time) == pytest.approx(speed, rel=1e-3)
     assert loop.controller.at_goal
 
 
 def test_noisy_point_that_moves_is_kept() -> None:
-    assert followed(line(np.array([0.0, 0.3]), 3), Orientation.ANY, 5e-3)[1] < 0.02
+    assert followed(line(np.array([0.0, 0.3]), 3), Orientation.ANY, 5e-3)[1] < 5e-3
 
 
 def test_pose_that_moves_is_met_again_and_again() -> None:
     _, *found = followed(line(np.array([0.1, 0.0]), 4), Orientation.FULL, duration=24.0)
-    assert found[0] < 0.15 and found[1] < 30.0
+    # What it moves in a second, and 7 to 17 degrees; they are 86 where its motion is not foreseen.
+    assert found[0] < 0.1 and found[1] < 30.0
 
 
 @pytest.mark.parametrize("gone", [np.inf, 10.0], ids=["is still given", "is no longer given"])
@@ -253,7 +258,9 @@ def test_goal_that_stands_in_the_end_is_settled_at(gone: float) -> None:
     goal = line(np.array([0.1, 0.05]), 5, until=10.0)
     loop, *_ = followed(goal, Orientation.FULL, gone=gone, duration=20.0)
     assert loop.controller.at_goal
-    assert position_error(loop.pose, goal(10.0)) < 0.02
+    # The last one given may be that of the time before.
+    older = SPACING * math.hypot(0.1, 0.05) if gone == 10.0 else 0.0
+    assert position_error(loop.pose, goal(10.0)) < older + 1e-3
 
 
 def test_another_goal_is_no_motion() -> None:

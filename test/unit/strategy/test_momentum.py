@@ -122,7 +122,9 @@ def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
     def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -> Situation:
         return situation(upright(*distance * direction, 0.6), momentum, pose=upright(*place))
 
-    for near in (on_the_way(np.zeros(2), 2.4e4), on_the_way(np.zeros(2), 2.4 * leg, pushed)):
+    tiny = np.array([0.02, -0.01, 0.0])
+    for momentum, distance in ((NO_MOMENTUM, 2.4e4), (tiny, 3.0 * leg), (pushed, 2.4 * leg)):
+        near = on_the_way(np.zeros(2), distance, momentum)
         (aim,) = Guide(near, SOLVER).guidance(0).aims
         assert not aim.is_local and aim.situation is near
     for place, momentum, length in (

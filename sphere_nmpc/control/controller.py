@@ -242,7 +242,7 @@ class Controller:
         return is_other
 
     def cancel(self) -> bool:
-        """Give up the goals: the sphere stops on its path. False if there was none."""
+        """Give up the goals, so that the sphere stops on its path; False if there was none."""
         if not self._course.clear():
             return False
         self._begin_anew()

@@ -102,7 +102,7 @@ class ControllerReports:
         self._name = status_name(node)
         self._values: dict[str, Any] = {}
         self._warnings: tuple[Condition, ...] = ()
-        """Those of the last status, the worst first."""
+        """Warnings of the last status, the worst first."""
         self._plan_message = Kind.NO_POSE.value
         self._status_at = perf_counter()
         self._publish_arrival()

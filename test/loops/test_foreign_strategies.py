@@ -251,10 +251,6 @@ WRONG_TYPES = {
     "a message": {"conditions": (Condition(Kind.PLANNED, b"bytes"),)},
 }
 """Values of a plan's fields that are of other types."""
-WRONG |= {
-    name: lambda now, values=values: replace(rolling(now), **values)
-    for name, values in WRONG_TYPES.items()
-}
 
 
 @pytest.mark.parametrize("wrong", WRONG)
@@ -268,8 +264,8 @@ def test_what_is_no_plan_counts_as_a_failure(wrong) -> None:
 @pytest.mark.parametrize("values", WRONG_TYPES.values(), ids=WRONG_TYPES)
 def test_field_of_another_type_is_refused_in_a_line_that_names_what_was_given(values) -> None:
     controller = begun(lambda now: replace(rolling(now), **values))
-    assert controller.decide(0.0).mode is Kind.FALLBACK
-    assert re.fullmatch(
+    assert controller.decide(0.0).mode is Kind.FALLBACK and controller.failures == 1
+    assert len(controller.last_failure) < 200 and re.fullmatch(
         r"TypeError: plan: given (the \w+ .+, expected another type|\w+, expected \w+)",
         controller.last_failure,
     )

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sampled_loop import ROBOT, SampledLoop
+from situations import situation
 
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.goal_motion import GoalMotion, current
@@ -24,11 +25,10 @@ from sphere_nmpc.model.state import (
     position_error,
     state_error,
     upright_state,
-    without_momentum,
 )
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation, make_strategy
+from sphere_nmpc.strategy.contract import make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 
 pytestmark = pytest.mark.slow
@@ -44,18 +44,10 @@ def course(*poses: Vector, stamp: int = 1) -> ActiveCourse:
     return ActiveCourse(Course.of(*map(Goal, poses)), stamp)
 
 
-def until_index(loop: SampledLoop, index: int) -> None:
-    """Run until another goal of the list is aimed at."""
-    end = loop.time + LONGEST
-    while loop.controller.active.index < index:
-        assert loop.time < end, loop.decision
-        loop.run(loop.settings.control_period)
-
-
 def test_what_remains_is_that_of_all_goals() -> None:
     controller = SampledLoop(START).controller
     assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no goal"
-    controller.follow(course(*SQUARE))
+    assert controller.follow(course(*SQUARE)) and not controller.follow(course(*SQUARE, stamp=2))
     assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no pose"
     controller.observe(0.0, START)
     time, way = controller.remaining(math.nan, math.nan)
@@ -65,30 +57,6 @@ def test_what_remains_is_that_of_all_goals() -> None:
     assert planned == pytest.approx((3.5 + 2 * 2.0 + 0.7 / 0.742, 0.6 + 0.7), rel=1e-3)
     resting = controller.remaining(math.nan, 0.0)
     assert resting == pytest.approx((2 * 2.0 + 0.7 / 0.742, 0.7), rel=1e-3)
-
-
-def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
-    loop = SampledLoop(START)
-    controller = loop.controller
-    assert controller.follow(course(*SQUARE))
-    for k, pose in enumerate(SQUARE[:-1]):
-        loop.keep_from_now_on()
-        until_index(loop, k + 1)
-        assert not controller.at_goal, "other goals follow"
-        assert min(loop.errors(pose)) < 1e-2
-        if k == 0:  # a repeated list goes on
-            assert not controller.follow(course(*SQUARE, stamp=2))
-            assert (controller.active.index, controller.active.stamp) == (1, 2)
-    loop.run(LONGEST)
-    assert controller.at_goal and loop.decision.mode is Kind.AT_GOAL
-    assert loop.error(SQUARE[-1]) < 1e-2
-    assert controller.follow(course(*SQUARE)), "all were visited: once more"
-    assert controller.active.index == 0
-    assert controller.plans >= 3
-    until_index(loop, 1)
-    assert controller.follow(course(*SQUARE[::-1])), "another list"
-    assert controller.active.index == 0
-    np.testing.assert_array_equal(controller.goal, SQUARE[-1])
 
 
 @pytest.mark.parametrize(
@@ -141,9 +109,9 @@ SCENARIOS = draw_scenarios(12, 21, "anywhere")
 
 def duration(scenario: Scenario, kind: Orientation) -> float:
     """Return the duration of the first plan [s]."""
-    goal, start = kind.nearest(scenario.goal, scenario.start), without_momentum(scenario.start)
-    situation = Situation.of(0.0, start, Goal(goal, kind), np.zeros(2), ROBOT.lumped)
-    return make_strategy(SETTINGS, ROBOT).plan(situation).arrival
+    goal = Goal(kind.nearest(scenario.goal, scenario.start), kind)
+    now = situation(goal, pose=scenario.start)
+    return make_strategy(SETTINGS, ROBOT).plan(now).arrival
 
 
 def test_first_plan_to_a_set_is_no_longer() -> None:

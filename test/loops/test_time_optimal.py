@@ -11,6 +11,7 @@ import pytest
 from delayed_worker import DelayedWorker
 from robots import GIANT
 from sampled_loop import ROBOT, SampledLoop, check_hold
+from situations import situation
 
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -29,7 +30,6 @@ from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.time_optimal import strategy
 from sphere_nmpc.strategy.time_optimal.background import SearchTask, later, solver_for
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -49,23 +49,12 @@ CONSTANTS = ROBOT.lumped.as_array()
 LIMIT = ROBOT.max_rotor_acceleration
 
 
-@pytest.fixture(autouse=True)
-def search_of_any_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a search use its whole effort, however busy the machine is."""
-    tuning = TimeOptimalSettings(longest_search=np.inf)
-    monkeypatch.setattr(strategy, "TimeOptimalSettings", lambda: tuning)
-
-
-def situation(start: Vector, goal: Vector) -> Situation:
-    return Situation.of(0.0, without_momentum(start), goal, np.zeros(2), ROBOT.lumped)
-
-
 def with_plant(now: Situation, **known: Any) -> Situation:
     return replace(now, plant=replace(now.plant, **known))
 
 
 def of_case(case: int) -> Situation:
-    return situation(PAPER_CASES[case].start, PAPER_CASES[case].goal)
+    return situation(PAPER_CASES[case].goal, pose=PAPER_CASES[case].start)
 
 
 def planner(settings: ControllerSettings = SETTINGS) -> TimeOptimalStrategy:
@@ -186,7 +175,7 @@ def test_robot_with_a_short_sample_period_gets_a_plan() -> None:
     used = TimeOptimalStrategy(ControllerSettings(sample_period=0.25).of(GIANT), GIANT)
     start = as_state([0.84790488, 0.29017925, 0.19692412, -0.27732079, -0.44550596, -0.82815368])
     goal = as_state([1.47793416, -2.61861649, 0.02288625, 0.35419605, 0.7080808, -0.61044489])
-    now = with_plant(situation(start, goal), constants=GIANT.lumped)
+    now = with_plant(situation(goal, pose=start), constants=GIANT.lumped)
     statuses = [used.plan(replace(now, time=0.25 * k)).status for k in range(5)]
     assert statuses[-1] is PlanStatus.SOLVED
 
@@ -221,7 +210,7 @@ def test_path_is_straight_from_the_start_at_every_distance(strategy, distance) -
 def drawn(distance: float, seed: int) -> Situation:
     rng = np.random.default_rng(seed)
     start = make_state((0.0, 0.0), random_quaternion(rng))
-    return situation(start, make_state(distance * DIRECTION, random_quaternion(rng)))
+    return situation(make_state(distance * DIRECTION, random_quaternion(rng)), pose=start)
 
 
 @pytest.mark.parametrize("distance", [8.0, 100.0])
@@ -332,7 +321,7 @@ def test_without_a_worker_to_be_had_it_is_searched_in_line() -> None:
 def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is() -> None:
     now, used = 0.0, planner(HIGH_RATE)
     used.search_beside(DelayedWorker(lambda: now, SEARCH))
-    begun = situation(FIRST.start, FIRST.goal)
+    begun = situation(FIRST.goal, pose=FIRST.start)
     assert used.plan(begun).status is PlanStatus.RAMP_TO_REST
     now, carried = SEARCH, without_momentum(FIRST.start)
     carried[POSITION] += 0.3

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from floor_plans import DOORWAY, floor_of
+from situations import situation
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.course import LegEnd
@@ -58,16 +59,6 @@ UPRIGHT = upright(1.0, -2.0)
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
 LOADING = np.array([0.0, 1.0, 0.0])
 """Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
-
-
-def situation(
-    goal: Vector, momentum: Vector = NO_MOMENTUM, disturbance: Disturbance = UNDISTURBED,
-    pose: Vector | None = None, in_force: tuple[float, float] = (0.0, 0.0),
-) -> Situation:
-    """Return a situation at the goal or at another pose."""
-    state = np.append(goal if pose is None else pose, momentum)
-    speeds = np.array(in_force)
-    return Situation.of(0.0, state, goal, speeds, ROBOT.lumped, disturbance=disturbance)
 
 
 def out_of_balance(momentum: float, slope: Vector = UNDISTURBED.slope) -> Situation:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from motions import largest_slope
 from robots import GIANT
 from sampled_loop import ROBOT, SampledLoop, check_hold
 from situations import situation
@@ -29,7 +30,7 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.time_optimal.background import SearchTask, later, solver_for
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -59,11 +60,6 @@ def of_case(case: int) -> Situation:
 
 def planner(settings: ControllerSettings = SETTINGS) -> TimeOptimalStrategy:
     return TimeOptimalStrategy(settings, ROBOT)
-
-
-def steepest(plan: Plan) -> float:
-    slopes = np.diff(plan.hold.speeds, axis=0) / np.diff(plan.hold.times)[:, None]
-    return float(np.max(np.abs(slopes)))
 
 
 def end_of(start: Vector, hold: FirstOrderHold, step: float) -> Vector:
@@ -135,7 +131,7 @@ def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettin
 def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
     now = of_case(3)
     weak = with_plant(now, acceleration=0.5 * LIMIT)
-    assert steepest(planner().plan(weak)) <= 0.5 * LIMIT
+    assert largest_slope(planner().plan(weak).hold) <= 0.5 * LIMIT
     plan = planner().plan(now)
     assert plan.status is PlanStatus.SOLVED
     same = planner().plan(with_plant(now, acceleration=1.1 * LIMIT))
@@ -147,11 +143,11 @@ def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
 def test_plan_that_is_followed_keeps_to_an_acceleration_learnt_meanwhile() -> None:
     attained, now, used = 300.0, of_case(1), planner()
     plan = used.plan(now)
-    assert steepest(plan) > 1.2 * attained
+    assert largest_slope(plan.hold) > 1.2 * attained
     moving = later(now, plan.hold, SETTINGS.period, 0.05)
     slower = used.plan(with_plant(moving, acceleration=attained))
     assert slower.status is PlanStatus.SOLVED
-    assert steepest(slower) < TUNING.attained_share * attained + 1e-3
+    assert largest_slope(slower.hold) < TUNING.attained_share * attained + 1e-3
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motions import largest_distance, moved
+from motions import largest_distance, largest_slope, moved
 from situations import situation
 
 from sphere_nmpc.errors import InvalidInputError
@@ -35,11 +35,6 @@ def holds(draw: st.DrawFn) -> FirstOrderHold:
     start = draw(st.sampled_from([0.0, -3.5, 1e4, EPOCH]))
     speeds = [draw(speed_pairs) for _ in gaps]
     return FirstOrderHold(start + np.cumsum(gaps), np.array(speeds))
-
-
-def largest_slope(hold: FirstOrderHold) -> float:
-    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
-    return float(np.max(np.abs(slopes), initial=0.0))
 
 
 @given(hold=holds(), place=st.floats(-0.5, 1.5))

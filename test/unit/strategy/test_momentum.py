@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from floor_plans import DOORWAY, floor_of
+from motions import largest_slope
 from situations import situation
 
 from sphere_nmpc.model import rotation
@@ -244,8 +245,7 @@ def test_plan_ends_at_rest_at_the_goal_as_predicted_and_keeps_every_limit(
     np.testing.assert_allclose(arrival.states[-1, MOMENTUM], end[MOMENTUM], atol=allowed)
     np.testing.assert_array_equal(hold.speeds[0], now.speeds)
     assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
-    slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
-    assert np.max(slopes) <= ROBOT.max_rotor_acceleration + 1e-3
+    assert largest_slope(hold) <= ROBOT.max_rotor_acceleration + 1e-3
     predicted = InForce(arrival, now, ROBOT).at(float(hold.times[middle]))
     assert state_error(predicted, states[middle, POSE]) < 1e-4
     np.testing.assert_allclose(predicted[MOMENTUM], states[middle, MOMENTUM], atol=1e-2)

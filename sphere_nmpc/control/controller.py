@@ -157,7 +157,7 @@ class Controller:
         return self.following.take(ActiveCourse(goal))
 
     def cancel(self) -> bool:
-        """Give up the goals: the sphere stops on its path. False if there was none."""
+        """Give up the goals, so that the sphere stops on its path; False if there was none."""
         if not self.following.course.clear():
             return False
         self.following.begin_anew()

@@ -107,9 +107,9 @@ class _Pursuit:
     until_taken: bool
     """Whether a stage is over when the controller shows it."""
     message: Any
-    """That of the present stage, with which all below is concerned."""
+    """Message of the present stage, with which all below is concerned."""
     stamp: int
-    """That of the message [ns]."""
+    """Stamp of the message [ns]."""
     began_at: float
     patience: Patience
     shown_at: float

@@ -66,7 +66,7 @@ class Prior:
     scale: float
 
     def blurred(self, factor: Vector) -> "Prior":
-        """Return it with a covariance F F^T more; `factor` F has shape (19, K)."""
+        """Return the prior with a covariance F F^T more; `factor` F has shape (19, K)."""
         columns = self.information @ factor
         inner = np.eye(factor.shape[1]) + factor.T @ columns
         gain = np.linalg.solve(inner, columns.T).T
@@ -79,7 +79,7 @@ class Prior:
     def forgetting(
         self, places: NDArray[np.intp], values: Vector, variances: Vector
     ) -> "Prior":
-        """Return it with some local unknowns, at `places`, that have other values and variances.
+        """Return the prior with other values and variances of some local unknowns, at `places`.
 
         What it knew of them is dropped, and with it what depended on them. Poses, the first five,
         are always kept.
@@ -150,7 +150,7 @@ class Linearisation:
         self._believe(prior, noise)
 
     def believing(self, prior: Prior, noise: PoseNoise) -> "Linearisation":
-        """Return it with another prior and another noise of the poses."""
+        """Return the equations with another prior and another noise of the poses."""
         other = copy(self)
         other._believe(prior, noise)
         return other

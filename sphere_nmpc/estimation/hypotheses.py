@@ -90,7 +90,7 @@ class Hypothesis:
 
     @property
     def simpler(self) -> list["Hypothesis"]:
-        """Those without what was believed: momentum, slope and imbalance; all of it."""
+        """Hypotheses without what was believed: momentum, slope and imbalance; all of it."""
         torques = (Event.PUSHED, Event.TILTED)
         events = tuple(Event.NONE if event in torques else event for event in self.events)
         level = replace(self, events=events, disturbed=False, torques=False, unbalanced=False)
@@ -149,7 +149,7 @@ class Hypothesis:
 
     @property
     def _noises(self) -> list["Hypothesis"]:
-        """Those with other noises of the poses."""
+        """Hypotheses with other noises of the poses."""
         pose, time = self.pose_noise
         noises = [PoseNoise(one, time) for one in _NOISES]
         noises += [PoseNoise(pose, one) for one in _NOISES]
@@ -157,7 +157,7 @@ class Hypothesis:
 
     @property
     def gradual(self) -> list["Hypothesis"]:
-        """Those with what no single interval shows: another slope, noises of the poses."""
+        """Hypotheses of what no single interval shows: another slope, noises of the poses."""
         return [replace(self, torques=True), *self._noises]
 
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:

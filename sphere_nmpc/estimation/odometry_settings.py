@@ -51,6 +51,10 @@ class OdometrySettings:
     def __post_init__(self) -> None:
         validate(self)
 
+    def height_deviation(self, shell_radius: float) -> float:
+        """Return the standard deviation of the height of the centre [m]."""
+        return self.radius_deviation * shell_radius
+
 
 @dataclass(frozen=True)
 class OdometryNumbers:
@@ -129,4 +133,4 @@ class OdometryNumbers:
 
 
 _IMPROBABLE_DISTANCES = (14.51, 17.76, 20.41, 22.79, 25.0)
-"""Of 1 to 5 components."""
+"""Normalised squares of 1 to 5 components that are improbable [-]."""

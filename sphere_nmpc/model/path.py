@@ -112,7 +112,7 @@ class Path:
 
     @cached_property
     def length(self) -> float:
-        """Its length [m]."""
+        """Length of the path [m]."""
         return self.spacing * (len(self.curve) - 1)
 
     def at(self, way: float) -> Vector:

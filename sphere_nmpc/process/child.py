@@ -18,7 +18,7 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.process.channel import Channel
 
 TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
-"""From a terminal to all processes that run in it: Ctrl-C, Ctrl-\\ and its end."""
+"""Signals from a terminal to all processes that run in it: Ctrl-C, Ctrl-\\ and its end."""
 END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 """Signals that ask a process to end, which all processes of this package treat alike."""
 _STOP_TIMEOUT = 6.0
@@ -116,12 +116,12 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Its process id; 0 before it was started."""
+        """Process id; 0 before it was started."""
         return 0 if self._process is None else self._process.pid
 
     @property
     def code(self) -> int | None:
-        """Its exit code, negative after a signal; None while it runs or before it was started."""
+        """Exit code, negative after a signal; None while it runs or before it was started."""
         return None if self._process is None else self._process.poll()
 
     @property
@@ -146,7 +146,7 @@ class Child:
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     def start(self, *arguments: str) -> "Child":
-        """Start it with further arguments and return it; one that still runs is ended first.
+        """Start the process with further arguments; one that still runs is ended first.
 
         OSError is raised if the system allows no further process or channel.
         """
@@ -180,13 +180,13 @@ class Child:
         return self._process.wait(timeout)
 
     def kill(self) -> None:
-        """End it as ``kill -9`` does, and what it has started, even if it has ended itself."""
+        """End the process as ``kill -9`` does, and what it has started, even if it is over."""
         if self._process is not None:
             self._signal(signal.SIGKILL)
             self.stop(0.0)
 
     def stop(self, patience: float = _STOP_TIMEOUT) -> None:
-        """End it; see `stop_together`."""
+        """End the process; see `stop_together`."""
         stop_together([self], patience)
 
     def check(self) -> None:

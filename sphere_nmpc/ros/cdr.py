@@ -81,7 +81,7 @@ class UncertainPose(NamedTuple):
 
     @property
     def state(self) -> tuple[float, ...]:
-        """As that of `Pose`."""
+        """State as that of `Pose`."""
         return Pose(self.stamp, self.frame, self.numbers[:7]).state
 
     def in_frame(self, frame: str) -> tuple[Vector, Vector | None]:
@@ -246,7 +246,7 @@ TYPES: dict[Any, str] = {
 }
 """Types of messages by the records of those that are read of a recording."""
 RECORDS = {msgtype: record for record, msgtype in TYPES.items()}
-"""These records by types of messages."""
+"""Records by types of messages."""
 _TEXT, _TIME, _ARRAY, _LIST = "text", "time", "array", "list"
 _HEADS = {_TEXT: "I", _TIME: "iI", _ARRAY: "I", _LIST: "I"}
 """Numbers that fields of these kinds begin with."""

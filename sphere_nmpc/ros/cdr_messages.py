@@ -107,7 +107,7 @@ def _text(*words: str) -> bytes:
 
 
 _JOINTS = _text("") + LENGTH.pack(len(JOINT_NAMES)) + _text(*JOINT_NAMES)
-"""From the stamp to the values: no frame, and the names of the joints."""
+"""Layout from the stamp to the values: no frame, and the names of the joints."""
 _POINT = np.dtype([
     ("positions", "<u8"), ("angles", "<f8", (2,)), ("velocities", "<u8"), ("speeds", "<f8", (2,)),
     ("after", "<u8"), ("seconds", "<i4"), ("nanoseconds", "<u4"),

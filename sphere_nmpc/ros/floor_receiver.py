@@ -36,7 +36,7 @@ from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 
 _KEEPOUTS = QoSProfile(depth=MOST_AREAS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of areas to keep out of, all of which are sent at once to a node that starts later."""
+"""Messages of areas to keep out of, all of which are sent at once to a node that starts later."""
 _LOOK_EVERY = 0.02
 """Wall time between two looks for a floor that is being made [s]."""
 _MOMENT = 1.0
@@ -155,7 +155,7 @@ class FloorReceiver(Generic[S, T]):
 
     @property
     def pending(self) -> float:
-        """For how long the oldest change has not been in force [s, wall]; 0 without any."""
+        """Time for which the oldest change has not been in force [s, wall]; 0 without any."""
         oldest = self._changes.oldest()
         return 0.0 if oldest is None else time.monotonic() - oldest.since
 

@@ -22,7 +22,7 @@ from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.ros.network import network_addresses, reaches_other_machines
 
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
+"""Callbacks of subscriptions whose incompatible publishers a `GraphMonitor` logs, not rclpy."""
 UNKNOWN = "a node without a name"
 """Stands for the name of a node of which only a topic has been discovered yet."""
 INVALID = "a node whose name is invalid"

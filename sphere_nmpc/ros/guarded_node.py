@@ -38,9 +38,9 @@ from sphere_nmpc.ros.messages import message_object
 from sphere_nmpc.ros.parameters import Parameters
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For topics of which only the newest message counts: a lost one does not delay it."""
+"""QoS of topics of which only the newest message counts: a lost one does not delay it."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""For topics whose last message is sent to later subscribers, too."""
+"""QoS of topics whose last message is sent to later subscribers, too."""
 _TYPE_HASH = re.compile("RIHS01_[0-9a-f]{64}")
 LONGEST_WAIT = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""

@@ -37,7 +37,7 @@ class Source:
     remedy: str
     """What is to be started where nobody publishes them."""
     topic: str
-    """Its relative name."""
+    """Relative name of the topic."""
     effect: str
     """What several publishers of it cause; empty where there may be several."""
     patience: str = ""

@@ -47,13 +47,13 @@ class Margin(Enum):
     """
 
     FOUND = 0.02
-    """Of a plan that a search finds."""
+    """Margin of a plan that a search finds."""
     STRAIGHT = 0.013
-    """Of one along a straight line."""
+    """Margin of one along a straight line."""
     KEPT = 0.007
-    """Of one that is being followed."""
+    """Margin of one that is being followed."""
     SENT = 0.0
-    """Of a command that begins later than it was planned."""
+    """Margin of a command that begins later than it was planned."""
 
 
 def needed_distance(situation: Situation, margin: Margin) -> float:

@@ -17,7 +17,7 @@ from sphere_nmpc.worker.contract import Reply, Result, Task
 _MAX_PENDING = 8
 """Tasks that may be pending."""
 _MAX_PENDING_BYTES = 150_000
-"""Their bytes: what a socket of Linux takes in any case, so that sending never blocks; a
+"""Bytes of these tasks: what a socket of Linux takes in any case, so that sending never blocks; a
 transition has some 60 000 at 1 kHz."""
 _RESULT_TIMEOUT = 3.0
 """Time without a result after which a worker that has a task is replaced [s]: a search takes a

@@ -120,7 +120,7 @@ def _test(
 
 
 def _imu_settings(texts: Mapping[str, str], frame: str, namespace: str) -> ImuSettings:
-    """Return those of an IMU, mounted where a description of the robot has its frame."""
+    """Return the settings of an IMU, mounted where a description of the robot has its frame."""
     imu = with_parameters(ImuSettings(), texts, "imu.")
     node = with_parameters(OdometryNodeSettings(), texts)
     if not node.robot_description:

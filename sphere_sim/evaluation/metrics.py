@@ -153,7 +153,7 @@ class GoalRun:
         self.state: Vector = np.full(goal.shape, math.nan)
         """The newest state."""
         self.error = math.nan
-        """Its ||x - x_d|| [mixed units]."""
+        """Error ||x - x_d|| [mixed units]."""
         self._hold = hold
         self._inside_since: float | None = None
 

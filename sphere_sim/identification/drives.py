@@ -52,7 +52,7 @@ class Commands:
 
     @classmethod
     def of_holds(cls, holds: Sequence[FirstOrderHold]) -> "Commands":
-        """Return those of trajectories, each of which replaces the one before from its start."""
+        """Return the speeds of trajectories, each of which replaces the one before it."""
         times, speeds = list[float](), list[Vector]()
         order = sorted(holds, key=lambda hold: hold.start)
         for i, hold in enumerate(order):
@@ -66,7 +66,7 @@ class Commands:
 
     @classmethod
     def of_speeds(cls, given: Series) -> "Commands":
-        """Return those of messages with speeds, held until the next one."""
+        """Return the speeds of messages, held until the next one."""
         times = given.times
         ends = np.column_stack((times, np.append(times[1:], times[-1] + _HELD)))
         ends[:, 1] = np.minimum(ends[:, 1], times + _HELD)
@@ -74,7 +74,7 @@ class Commands:
         return cls(np.append(np.repeat(times, 2)[1:], times[-1] + _HELD), held, ends)
 
     def simplified(self) -> "Commands":
-        """Return them without ends between pieces that are one."""
+        """Return the speeds without ends between pieces that are one."""
         kept = np.ones(self.times.size, dtype=bool)
         same = np.all(self.speeds[1:-1] == self.speeds[:-2], axis=1)
         kept[1:-1] = ~(same & np.all(self.speeds[1:-1] == self.speeds[2:], axis=1))

@@ -121,7 +121,7 @@ class Mounted:
     at_rest: bool
 
     def with_scatter(self, others: Sequence["Mounted"], larger: "Mounted") -> "Mounted":
-        """Return it with deviations at least as large as others show (delete-one jackknife).
+        """Return the mounting, with deviations as large as others show (delete-one jackknife).
 
         Each of the others is from all data but one of as many parts, and that with a `larger`
         radius, by its deviation, adds to the deviation of the place.

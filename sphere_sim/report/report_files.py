@@ -60,7 +60,7 @@ _OF_ODOMETRY = (
 def write_report(
     reported: Sequence[Reported], out: Path, *, csv: bool, animation: bool
 ) -> Path:
-    """Write a report into a folder that exists and return its page. Several runs are compared.
+    """Write a report into a folder that exists and return its page; several runs are compared.
 
     Numbers are written before figures, and animations, the largest files, last, with the page once
     more: on a full disk the most important files exist, and OSError names the one that cannot be

@@ -47,8 +47,8 @@ from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
 
 SEARCH_VERSION = 3
-"""To be raised with any change of the search that finds other times: times of another version in
-the cache are not used."""
+"""Version, to be raised with any change of the search that finds other times: times of another one
+in the cache are not used."""
 SEARCHES = 2
 """Independent searches for each scenario."""
 EFFORT = 400_000
@@ -64,7 +64,7 @@ _STEP = 0.0625
 _MOMENTUM_STEPS = 16
 """Steps in which momentum and disturbance are raised."""
 _MOMENTUM_VERSION = 2
-"""As `SEARCH_VERSION`, for times with momentum alone."""
+"""Version as `SEARCH_VERSION`, for times with momentum alone."""
 _RESOLUTION = 0.01
 """Resolution of the settling time [s], that of the runs."""
 _log = logging.getLogger("sphere_nmpc")

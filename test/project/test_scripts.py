@@ -51,9 +51,11 @@ BENCH = Path(__file__).parents[2] / "bench"
 
 
 @pytest.mark.parametrize("script", sorted(BENCH.rglob("*.py")), ids=lambda path: path.stem)
-def test_script_can_be_imported(script, monkeypatch) -> None:
+def test_script_does_nothing_when_it_is_imported(script, monkeypatch, capfd) -> None:
     monkeypatch.setattr(sys, "path", [str(script.parent), *sys.path])
-    assert "__doc__" in runpy.run_path(str(script), run_name="imported")
+    before = sorted(BENCH.rglob("*"))
+    runpy.run_path(str(script), run_name="imported")
+    assert capfd.readouterr() == ("", "") and sorted(BENCH.rglob("*")) == before
 
 
 def test_table_has_rows_as_they_are_declared_with_reference_total_and_file(

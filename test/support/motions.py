@@ -68,6 +68,12 @@ def moved(
     return roll_out(start, speeds, np.diff(times), LUMPED.as_array(), spacing)
 
 
+def largest_slope(hold: FirstOrderHold) -> float:
+    """Return the largest acceleration of either rotor along a hold [rad/s^2]."""
+    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+    return float(np.max(np.abs(slopes), initial=0.0))
+
+
 def largest_distance(points: Iterable[Vector], path: Vector) -> float:
     """Return the largest distance of points from a path of straight pieces, both in R^n."""
     way = np.diff(path, axis=0)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from delayed_worker import DelayedWorker
-from motions import moved
+from motions import largest_slope, moved
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
@@ -209,8 +209,7 @@ def check_hold(
     Accelerations may be larger by a share `slack`: rounding of 100 rad/s over an interval.
     """
     assert np.max(np.abs(hold.speeds)) <= robot.max_rotor_speed + 1e-9
-    slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
-    assert np.max(slopes, initial=0.0) <= robot.max_rotor_acceleration * (1.0 + slack)
+    assert largest_slope(hold) <= robot.max_rotor_acceleration * (1.0 + slack)
     np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
 
 

@@ -50,7 +50,7 @@ class Belief(NamedTuple):
     numbers: Vector
     """All that is behind the pose in the error, shape (44,)."""
     covariance: Vector
-    """Of the error, shape (49, 49)."""
+    """Covariance of the error, shape (49, 49)."""
     unexplained: Vector
     """Change of velocity that rolling has not explained recently [m/s; world], shape (3,)."""
     vibration: Vector
@@ -80,7 +80,7 @@ class Findings(NamedTuple):
     force: float
     """Normalised square of the innovation of the specific force; nan where it was not used."""
     rate: float
-    """That of the angular velocity by the balance of momentum; nan without rotor speeds."""
+    """Normalised square of that of the rate by the rotors; nan without rotor speeds."""
     jump: Vector
     """Innovation of the velocity [m/s; world frame], shape (3,)."""
 

@@ -101,7 +101,7 @@ class ControllerReports:
         self._prediction = node.create_publisher(PathMessage, "~/predicted_path", 10)
         self._values: dict[str, Any] = {}
         self._warnings: tuple[Condition, ...] = ()
-        """Those of the last status, the worst first."""
+        """Warnings of the last status, the worst first."""
         self._plan_message = Kind.NO_POSE.value
         self._status_at = perf_counter()
         self._diagnostics = Diagnostics(

@@ -40,7 +40,7 @@ from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, Schedu
 from sphere_nmpc.ros.stored import Stored, stored_file
 
 _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For measurements of which none may be dropped while the node is held up, for half a second at
+"""QoS of measurements of which none may be dropped while the node is held up, for half a second at
 2000 Hz; publishers of either reliability match."""
 _FEW = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DEPTH = 10
@@ -215,7 +215,7 @@ class OdometryNode(ClockedNode):
             self._sent = []
             return
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
-        height_deviation = radius * self._settings.radius_deviation
+        height_deviation = self._settings.height_deviation(radius)
 
         def moving() -> tuple[Vector, Vector, tuple[Vector, Vector]]:
             of_pose = fixed_axes_covariance(pose, estimate.covariance, height_deviation)

@@ -72,7 +72,7 @@ class Saturated:
 
 
 State = Searching | InForce | Holding | Saturated
-"""That of following is an `InForce`; whether it ends in the dead band is its plan's status."""
+"""State of following is an `InForce`; whether it ends in the dead band is its plan's status."""
 
 
 class Machine:

@@ -49,7 +49,7 @@ class Camera:
     size: tuple[int, int]
     """Width and height [pixels]."""
     axes: Vector
-    """To the right, up and towards the viewer: unit vectors, shape (3, 3) [world frame]."""
+    """Axes to the right, up and towards the viewer: unit vectors, shape (3, 3) [world frame]."""
     scale: float
     """Scale [pixels/m]."""
     middle: Vector

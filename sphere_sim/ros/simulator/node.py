@@ -55,8 +55,6 @@ _SPIN_EVERY = 2e-3
 """Wall time between two calls of the executor [s]; each takes some 0.2 ms."""
 _SHORTEST_SPIN = 2e-4
 """Time to the next instant above which the executor waits for it, rather than a sleep [s]."""
-_SLOW = 0.95
-"""Share of the wanted real-time factor below which the machine counts as too slow."""
 _FLUSH_TIMEOUT = 1.0
 """Longest wait of a pause until subscribers have received all messages [s, wall]."""
 _LARGEST_PRIORITY_FACTOR = 2.0
@@ -238,7 +236,7 @@ class SimulatorNode(GuardedNode):
         self._simulated_clock.command_received(stamp, time.monotonic())
 
     def _receive_period(self, message: Float64) -> None:
-        """In lockstep, take over the controller's period: time stops at its instants."""
+        """Take over, in lockstep, the controller's period: time stops at its instants."""
         try:
             period = replace(self._settings, sample_period=message.data).sample_period
         except InvalidParameterError as error:
@@ -363,7 +361,7 @@ class SimulatorNode(GuardedNode):
             return OK, "paused", values
         if clock.awaited is not None and achieved == 0.0:
             return WARN, "waiting for rotor_trajectory", values
-        if not clock.lockstep and achieved < _SLOW * wanted:
+        if clock.is_slow(achieved):
             return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
 

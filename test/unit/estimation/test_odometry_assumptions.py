@@ -10,6 +10,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from inertial_runs import ROBOT, SECOND, error_of, followed, random_run
 from scipy.stats import chi2
 
 from sphere_nmpc.estimation.imu import ImuSettings
@@ -30,7 +31,6 @@ from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.dynamics import world_rate
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.reporting.conditions import Kind
-from test.support.inertial_runs import ROBOT, SECOND, error_of, followed, random_run
 
 DEFAULT = ImuSettings()
 

@@ -69,7 +69,7 @@ def test_messages_have_come_until_the_newest_stamp_or_now_if_none_is_newer() -> 
 def test_values_before_a_calibration_are_not_known() -> None:
     odometry = Odometry(OdometrySettings(), ImuSettings(), RobotParameters())
     streams = [SensorStream(name) for name in ("readings", "rotor speeds")]
-    values = status_values(odometry, *streams, NOW, Kind.CALIBRATING.alone)
+    values = status_values(odometry, *streams, NOW, Kind.CALIBRATING.conditions)
     assert values["calibrated"] is False and values["conditions"] == "calibrating at rest"
     assert math.isnan(values["position_deviation_m"] + values["heading_deviation_deg"])
 

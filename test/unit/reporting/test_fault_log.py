@@ -9,10 +9,7 @@ from sphere_nmpc.errors import LONGEST, LONGEST_LINE, Description, printable_lin
 from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 
 
-def test_numbers_of_numpy_are_shown_as_others_and_descriptions_as_they_are() -> None:
-    given = [np.float64("nan"), (np.int64(3), np.bool_(True)), "a", 0.5]
-    assert shown(given) == "[nan, (3, True), 'a', 0.5]"
-    assert shown(np.float64(2.0)) == "2.0"
+def test_descriptions_are_shown_as_they_are_and_long_values_cut() -> None:
     assert len(shown(list(np.zeros(10**5)))) == LONGEST
     assert shown(Description("no such file")) == "no such file"
     assert shown(Description("a\x1b[31m\n")) == "a\\x1b[31m\\n"

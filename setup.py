@@ -43,7 +43,7 @@ EXTRAS = {
     "study": ["dask>=2024.8", "distributed>=2024.8"],
     "rigid": ["mujoco>=3.2,<5"],
     "viewer": ["viser>=1.0,<2"],
-    "report": [*READING, "matplotlib>=3.8,<4", "pyarrow>=16", SCIPY],
+    "report": [*READING, "matplotlib>=3.8,<4", SCIPY],
     # Also for the plain solver, where the compiled one cannot be used.
     "benchmark": ["casadi>=3.6.7,<4", SCIPY],
     # launch_testing's pytest plugin breaks under pytest 9.
@@ -174,7 +174,7 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sphere_sim", "sphere_sim.*"]),
-    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.csv", "*.npz", "*.xml"]},
+    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.csv", "*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_runs import PATIENCE, Observer, Record, hogs, machine, running, write_json
+from machine import machine, write_json
+from node_runs import PATIENCE, Observer, Record, hogs, running
 
 from sphere_nmpc.model.state import Vector
 from sphere_sim.ros.session.process_set import ProcessSet

@@ -24,20 +24,21 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
-from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.bag import Recorded
 from sphere_sim.identification.drives import Commands
 from sphere_sim.identification.identify import Given, Identified, identified
 from sphere_sim.identification.inertial import Readings
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import draw_scenarios
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import assemble, closed_loop
 from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
 from sphere_sim.world.settings import SimulatorSettings
@@ -145,9 +146,11 @@ class Drawn:
             np.array([one.rate for one in readings]), np.array([one.force for one in readings]),
         ) if readings else None
         noisy = np.array(speeds) + self._speed_noise * rng.normal(size=(at.size, 2))
+        commands = Series(at - self.lag, wanted[place])
         return Recorded(
-            at + self.late, np.array(poses), True, self.robot.shell_radius, at, noisy,
-            Commands.of_speeds(at - self.lag, wanted[place]), inertial, {}, [],
+            Series(at + self.late, np.array(poses)), Series(at, noisy), Series(), True,
+            self.robot.shell_radius, Commands.of_speeds(commands), inertial,
+            "/controller", {}, [],
         )
 
 
@@ -176,7 +179,7 @@ def one(number: int, arguments: argparse.Namespace) -> dict[str, Any]:
         arguments.imu or arguments.inside, inside=arguments.inside,
     )
     found = identified(drawn.recorded, Given(drawn.given, imu=drawn.known_imu))
-    away = np.linalg.norm(drawn.recorded.poses[:, :2], axis=1)
+    away = np.linalg.norm(drawn.recorded.states[:, :2], axis=1)
     return {"errors": errors(drawn, found), "reach": float(np.max(away)), "check": found.check}
 
 
@@ -190,19 +193,15 @@ def drive(seed: int, goals: int) -> None:
     for name, robot in (
         ("given", drawn.given), ("identified", found.robot), ("true", drawn.robot)
     ):
-        settings = ControllerSettings(learning=False).of(robot)
+        learns_nothing = ControllerSettings(learning=False)
+        conditions = StudyConditions(15.0, robot=robot, controller=learns_nothing)
         rows = []
         for case in draw_scenarios(goals, seed):
-            world = SimulatorSettings(initial_state=tuple(case.start), seed=case.seed)
-            goal = np.asarray(case.goal)
-            run = run_closed_loop(
-                Simulator(world, drawn.robot), Controller(settings, robot), goal, 15.0,
-                settings.control_period,
-            )
-            left = position_errors(run.states, goal)
+            run = closed_loop(conditions, case, assemble(conditions, case, drawn.robot))
+            left = position_errors(run.states, case.goal)
             late = np.flatnonzero(left > 0.01)
             settled = run.times[late[-1]] if late[-1] + 1 < left.size else math.inf
-            turned = np.degrees(angle_errors(run.states, goal)[-1])
+            turned = np.degrees(angle_errors(run.states, case.goal)[-1])
             rows.append((settled, 1e3 * left[-1], turned))
         (time, place, turn), count = np.median(rows, axis=0), sum(row[0] < 15.0 for row in rows)
         print(f"{name:12} settled {count} of {goals}, after {time:.2f} s; at the end "

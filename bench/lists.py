@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time of a list of goals over the sum of the times of its single motions, in lockstep.
 
-    python bench/lists.py --draw 20 --json out/lists.json                 # some minutes
-    python bench/lists.py --kinds wrong --draw 20 --seed 2 --jobs 1
+    python bench/lists.py --runs 20 --json out/lists.json                 # some minutes
+    python bench/lists.py --only wrong --runs 20 --seed 2 --jobs 1
 
 Each list has a start and six poses, drawn at random: `nominal` on the ideal plant, `obstacles` on
 the same among discs, `wrong` on the contact plant with parameters up to 10 % off those that the
@@ -12,47 +12,38 @@ failed if its poses are not all reached in order, each within the error in R^6 b
 counts as settled, or if it does not settle at the last one. Contacts are those of both.
 """
 
-import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+sys.path.append(str(Path(__file__).parent / "documents"))
+
 import numpy as np
-from node_runs import machine, write_json
+from tables import Row, Table, conditions_of, print_tables
 from worlds import draw_poses, draw_world, longest_run
 
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, position_error
-from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors, stay_below
 from sphere_sim.scenario.scenarios import Scenario, anywhere
-from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import finite
-from sphere_sim.study.single_run import prepare
+from sphere_sim.study.single_run import closed_loop, prepare
 from sphere_sim.world.walls import walls_of
 
 _CONDITIONS = {
-    "nominal": StudyConditions(),
-    "obstacles": StudyConditions(),
-    "wrong": StudyConditions(perturbation=10.0).with_settings([("simulator.plant", "rigid_body")]),
+    "nominal": ("", 0.0), "obstacles": ("", 0.0), "wrong": ("simulator.plant=rigid_body", 10.0),
 }
-"""Conditions of the runs by kind."""
+"""Settings of the runs and errors of the parameters [%] by kind."""
 _GOALS = 6
 """Goals of a list."""
 _CLEARANCE = 0.03
 """Clearance to be kept from obstacles [m]."""
 _STEP = 1e-3
 """Time between two looks at the sphere [s], which may pass through a goal at full speed."""
-
-
-def as_list(poses: Sequence[Vector]) -> Course:
-    """Return the course that has these poses, shape (6,) each, in this order."""
-    return Course.of(*map(Goal, poses))
 
 
 def draw(kind: str, rng: np.random.Generator) -> tuple[list[Vector], Floor]:
@@ -93,15 +84,14 @@ def run(
     contacts : int
         Number of contacts with obstacles.
     """
-    conditions = _CONDITIONS[kind]
-    simulator, controller = prepare(conditions, Scenario(poses[0], poses[-1], seed))
+    settings, percent = _CONDITIONS[kind]
+    conditions = conditions_of(settings, duration, percent)
+    scenario = Scenario(poses[0], poses[-1], seed)
+    made = simulator, controller = prepare(conditions, scenario)
     if not floor.is_empty:
         simulator.plant.surround(walls_of(floor.grid))
         controller.floor = floor
-    found = run_closed_loop(
-        simulator, controller, as_list(poses[1:]), duration, conditions.controller.control_period,
-        output_period=_STEP,
-    )
+    found = closed_loop(conditions, scenario, made, Course.of(*map(Goal, poses[1:])), _STEP)
     visited = visits(found.times, found.states, poses[1:])
     stay = stay_below(found.times, state_errors(found.states, poses[-1]))
     reached = stay is not None and len(visited) == len(poses) - 1
@@ -110,7 +100,7 @@ def run(
 
 
 def measured(kind: str, seed: int, number: int) -> dict[str, Any]:
-    """Draw a list, run it and its single motions, print a line of it and return its figures."""
+    """Draw a list, run it and its single motions, and return its figures."""
     rng = np.random.default_rng([seed, number])
     poses, floor = draw(kind, rng)
     of_run = int(rng.integers(2**31))
@@ -121,59 +111,37 @@ def measured(kind: str, seed: int, number: int) -> dict[str, Any]:
     ]
     single = sum(settled for settled, _, _ in singles)
     listed, visited, contacts = run(kind, poses, floor, of_run, sum(longest))
-    row = {
+    return {
         "kind": kind, "number": number, "list": finite(listed), "single": finite(single),
         "ratio": finite(listed / single) if np.isfinite(single) else None, "visits": visited,
         "singles": [finite(settled) for settled, _, _ in singles],
         "contacts": contacts + sum(touched for _, _, touched in singles),
     }
-    ratio = "-" if row["ratio"] is None else f"{row['ratio']:.3f}"
-    print(
-        f"{kind:9} {number:4} list {listed:6.2f} s, single motions {single:6.2f} s, ratio "
-        f"{ratio}, visited {len(visited)} of {_GOALS}, contacts {row['contacts']}", flush=True,
-    )
-    return row
 
 
-def summary(kind: str, rows: list[dict[str, Any]]) -> str:
-    """Return the line of all lists of a kind."""
+def _rows(number: int, seed: int) -> Iterator[Row]:
+    for kind in _CONDITIONS:
+        yield Row((kind, number), [(kind, seed, k) for k in range(number)])
+
+
+def _cells(rows: list[dict[str, Any]], _: object) -> list[object]:
+    """Return the cells of all lists of a kind."""
     judged = [one for one in rows if one["ratio"] is not None]
-    failed = sum(one["list"] is None for one in rows)
-    unsettled = sum(one["singles"].count(None) for one in rows)
-    contacts = sum(one["contacts"] for one in rows)
     median, worst = "-", "-"
     if judged:
         last = max(judged, key=lambda one: one["ratio"])
         median = f"{np.median([one['ratio'] for one in judged]):.3f}"
         worst = f"{last['ratio']:.3f} (list {last['number']})"
-    return f"{kind:9} {len(rows):6} {failed:7} {unsettled:19} {contacts:9}  {median:9}  {worst}"
+    return [
+        sum(one["list"] is None for one in rows), sum(one["singles"].count(None) for one in rows),
+        sum(one["contacts"] for one in rows), median, worst,
+    ]
 
 
-def main() -> None:
-    """Measure all kinds and print the table."""
-    # With the scripts of documents.
-    sys.path.append(str(Path(__file__).parent / "documents"))
-    from tables import in_processes
-
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--draw", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--kinds", nargs="*", choices=_CONDITIONS, default=list(_CONDITIONS))
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    limit_library_threads()
-    rows = in_processes(
-        measured,
-        [(kind, options.seed, number) for kind in options.kinds for number in range(options.draw)],
-        options.jobs,
-    )
-    print("kind       lists  failed  singles not settled  contacts  ratio p50  max")
-    for kind in options.kinds:
-        print(summary(kind, [one for one in rows if one["kind"] == kind]))
-    told = vars(options) | {"json": None}
-    write_json(options.json, {"machine": machine(), "options": told, "rows": rows})
-
+TABLE = Table(
+    ("kind", "lists", "failed", "singles not settled", "contacts", "ratio, median", "worst"),
+    _rows, measured, _cells, number=20,
+)
 
 if __name__ == "__main__":
-    main()
+    print_tables({"": TABLE}, __doc__)

@@ -6,9 +6,6 @@ Times of messages are those of their publication, as the middleware reports them
 observer measures the same.
 """
 
-import json
-import os
-import platform
 import struct
 import subprocess
 import sys
@@ -160,24 +157,6 @@ def hogs(number: int) -> Iterator[None]:
         for process in busy:
             process.kill()
             process.wait()
-
-
-def machine() -> dict[str, object]:
-    """Return what measured figures depend on."""
-    return {
-        "date": time.strftime("%Y-%m-%d %H:%M"),
-        "processors": os.cpu_count(),
-        "load_average": [round(load, 1) for load in os.getloadavg()],
-        "python": platform.python_version(),
-        "command": " ".join(["python", *sys.argv]),
-    }
-
-
-def write_json(path: Path | None, result: dict[str, object]) -> None:
-    """Write the result to the file of ``--json``, if it is given."""
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(result, indent=2) + "\n")
 
 
 def _ignore(_: bytes) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from node_runs import machine, write_json
+from machine import machine, write_json
 from odometry_drives import (
     FURTHER,
     INSTANTS,
@@ -34,17 +34,17 @@ from odometry_drives import (
     world_error,
 )
 
-from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation.odometry import Odometry
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import angle_errors, position_errors
 from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import ODOMETRY_RESULT_COLUMNS
+from sphere_sim.study.single_run import closed_loop
 
 _LIMITS = {"goals": (0.02, 1.5), "wrong": (0.04, 2.0)}
 """Errors at rest within which a goal is reached [m, degree]."""
@@ -77,13 +77,10 @@ def goal_run(
     wrong: float = 0.0, exact: bool = False,
 ) -> dict[str, float]:
     """Return the errors at the end of a run to a goal, and from when on it stays within limits."""
-    simulator, imu = world(conditions, scenario, wrong)
+    simulator, imu, controller = world(conditions, scenario, wrong)
     own = OdometryPoses(simulator, imu, conditions.odometry, conditions.robot)
-    controller = Controller(conditions.controller, conditions.robot)
-    run = run_closed_loop(
-        simulator, controller, scenario.goal, conditions.duration,
-        conditions.controller.control_period, poses=None if exact else own,
-    )
+    made = simulator, controller
+    run = closed_loop(conditions, scenario, made, poses=None if exact else own)
     off, is_out = off_goal(run.states, scenario.goal, limits)
     outside = np.flatnonzero(is_out)
     settled = run.times[outside[-1]] if outside.size else 0.0
@@ -122,9 +119,8 @@ def fixes(options: argparse.Namespace) -> dict[str, Any]:
     conditions, duration = conditions_of("rigid_body"), 60.0 * options.minutes
     scenarios = draw_scenarios(round(duration), options.seed + 1)
     goal_of = iter(scenarios)
-    simulator, imu = world(conditions, scenarios[0])
+    simulator, imu, controller = world(conditions, scenarios[0])
     poses = OdometryPoses(simulator, imu, conditions.odometry, conditions.robot)
-    controller = Controller(conditions.controller, conditions.robot)
     rng, goal = np.random.default_rng([options.seed, 10]), next(goal_of).goal
     made: list[tuple[float, Vector]] = []
     errors: list[Vector] = []

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import track
 from scipy.stats import chi2
 
+from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model import rotation
@@ -25,8 +26,8 @@ from sphere_sim.evaluation.followed_odometry import FollowedOdometry
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import assemble
 from sphere_sim.world.imu_sensor import ImuSensor
-from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 
 T = TypeVar("T")
@@ -74,21 +75,16 @@ def conditions_of(plant: str, *more: tuple[str, str]) -> StudyConditions:
 
 def world(
     conditions: StudyConditions, scenario: Scenario, wrong: float = 0.0
-) -> tuple[Simulator, ImuSensor]:
-    """Return simulator and IMU of a scenario; the robot's parameters are wrong by a share."""
-    simulation = replace(
-        conditions.simulator, initial_state=tuple(scenario.start), seed=scenario.seed
-    )
+) -> tuple[Simulator, ImuSensor, Controller]:
+    """Return simulator, IMU and controller of a run; the parameters are wrong by a share."""
     rng = np.random.default_rng([scenario.seed, 2])
     robot = perturbed(conditions.robot, wrong, rng)
     if wrong:
         radius = conditions.robot.shell_radius * (1.0 + _WRONG_RADIUS * rng.uniform(-1.0, 1.0))
         robot = replace(robot, shell_radius=float(radius))
-    own = conditions.of_plant.for_robot(conditions.robot)
-    plant = make_plant(simulation.plant, robot, scenario.start, own)
-    simulator = Simulator(simulation, robot, plant, conditions.imu)
+    simulator, controller = assemble(conditions, scenario, robot)
     assert simulator.imu is not None
-    return simulator, simulator.imu
+    return simulator, simulator.imu, controller
 
 
 def world_error(pose: Vector, state: Vector) -> Vector:
@@ -120,7 +116,7 @@ def recorded(
     conditions: StudyConditions, scenario: Scenario, duration: float = _DRIVE
 ) -> Drive:
     """Return a drive with random rotor speeds, a new target every 0.3 to 1 s, and its readings."""
-    robot, (simulator, imu) = conditions.robot, world(conditions, scenario)
+    robot, (simulator, imu, _) = conditions.robot, world(conditions, scenario)
     rng = np.random.default_rng([scenario.seed, 8])
     step, due = 0.01, 0.0
     target: Vector = np.zeros(2)

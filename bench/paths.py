@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deviation from paths, by kind, and time along them, judged on curves that are known exactly.
 
-    python bench/paths.py --kinds circle eight line --starts 20 --json out/paths.json
-    python bench/paths.py --kinds circle eight line --plant rigid_body --perturb 10 --noise 0.002
-    python bench/paths.py --kinds gentle --starts 10
-    python bench/paths.py --kinds circle line s+0.50 eight --speed 0
-    python bench/paths.py --kinds places --speed 0
+    python bench/paths.py plain --runs 20 --json out/paths.json
+    python bench/paths.py plain --perturb 10 --set simulator.plant=rigid_body \\
+        simulator.position_noise=0.002 simulator.orientation_noise=0.004
+    python bench/paths.py gentle --runs 10
+    python bench/paths.py plain --set controller.path_speed=0
+    python bench/paths.py places --set controller.path_speed=0
 
 Each run starts at rest at the start of its path with an orientation drawn at random. `gentle` are
 the line, arcs and S of 3 m with curvatures of 0.15 to 0.5 1/m to both sides. On the ideal plant
@@ -15,33 +16,31 @@ Times are in those of steady rolling along the path; for `places`, six that are 
 with turns of up to 60 degrees, in that of a list of them, at each of which the sphere rests.
 """
 
-import argparse
 import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 sys.path.append(str(Path(__file__).parent / "documents"))
 
 import numpy as np
-from node_runs import machine, write_json
-from tables import header, in_processes, row
+from tables import Row, Table, conditions_of, print_tables
 from worlds import SPEED, integrated
 
-from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path as Curve
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector, make_state
-from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.closed_loop import Trajectory
 from sphere_sim.evaluation.metrics import deviations, errors_to, measure_along, stay_below
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import GivenPath, Scenario
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.record import finite
-from sphere_sim.study.single_run import course_of, followed_inputs, prepare
-from sphere_sim.study.workers import cores
+from sphere_sim.study.single_run import closed_loop, followed_inputs, prepare
 
 _SPACING = 1e-3
 """Spacing of the exact curves [m]."""
@@ -49,12 +48,13 @@ _GIVEN = 10
 """Every how many of their places are given to the controller."""
 _STEP = 5e-3
 """Time between two looks at the sphere [s]."""
-_REACH = 0.1
+_MEASURED_RANGE = 0.1
 """Way beyond what is rolled in a step, and less than from one part of a path to another [m]."""
 
 _BENT = [f"{form}{sign}{0.05 * k:.2f}" for form in ("arc", "s") for sign in "+-"
          for k in range(3, 11)]
 GENTLE = ["line", *_BENT]
+PLAIN = ["circle", "eight", "line", "s+0.50"]
 KINDS = ["circle", "eight", *GENTLE, "places"]
 
 
@@ -105,43 +105,30 @@ def judged_track(
     return own, float(np.max(np.linalg.norm(own - track, axis=1)))
 
 
-def measured(kind: str, number: int, options: dict[str, Any]) -> dict[str, Any]:
-    """Run along a path of a kind and return the figures of the run."""
-    rng = np.random.default_rng([options["seed"], KINDS.index(kind), number])
-    nodes = nodes_of(kind, rng)
-    exact = exact_path(nodes, options["tolerance"])
+def measured(
+    conditions: StudyConditions, kind: str, seed: int, number: int
+) -> dict[str, Any]:
+    """Run along a path of a kind, as long as it takes, and return the figures of the run."""
+    rng = np.random.default_rng([seed, KINDS.index(kind), number])
+    nodes, settings = nodes_of(kind, rng), conditions.controller
+    exact = exact_path(nodes, settings.path_tolerance)
     places = exact.places
-    settings = {
-        "simulator.plant": options["plant"], "simulator.position_noise": options["noise"],
-        "simulator.orientation_noise": 2.0 * options["noise"],
-        "controller.path_tolerance": options["tolerance"],
-    }
-    conditions = StudyConditions(
-        duration=10.0 + 2.0 * exact.length / (options["speed"] or SPEED),
-        perturbation=options["perturb"],
-    ).with_settings([(name, str(value)) for name, value in settings.items()])
+    longest = 10.0 + 2.0 * exact.length / (settings.path_speed or SPEED)
+    conditions = replace(conditions, duration=longest)
     given = nodes if kind == "places" else np.vstack((places[:-1:_GIVEN], places[-1:]))
     path = GivenPath(given, Path(kind))
     scenario = Scenario(
         make_state(given[0], random_quaternion(rng)), path.end, int(rng.integers(2**31)),
-        follows=path, path_speed=options["speed"],
+        follows=path,
     )
-
-    def run(course: Course) -> tuple[Trajectory, Controller]:
-        simulator, controller = prepare(conditions, scenario)
-        period = conditions.controller.control_period
-        found = run_closed_loop(
-            simulator, controller, course, conditions.duration, period, output_period=_STEP
-        )
-        return found, controller
-
-    found, controller = run(course_of(conditions, scenario))
+    made = _, controller = prepare(conditions, scenario)
+    found = closed_loop(conditions, scenario, made, output_period=_STEP)
     track, apart = judged_track(found, conditions, scenario)
-    rms, largest, time = measure_along(found.times, track, [exact], _REACH)
+    rms, largest, time = measure_along(found.times, track, [exact], _MEASURED_RANGE)
     reference = exact.length / SPEED
     if kind == "places":
         stops = (Goal(make_state(place, path.end[2:]), Orientation.ANY) for place in nodes[1:])
-        listed, _ = run(Course.of(*stops))
+        listed = closed_loop(conditions, scenario, None, Course.of(*stops), _STEP)
         errors = errors_to(Goal(path.end, Orientation.ANY), listed.states)[:, 0]
         stay = stay_below(listed.times, errors)
         reference = np.nan if stay is None else stay.since
@@ -156,56 +143,42 @@ def measured(kind: str, number: int, options: dict[str, Any]) -> dict[str, Any]:
 
 def drawn(path: Curve, track: Vector) -> dict[str, Any]:
     """Return what the figure of a run shows."""
-    away, way = deviations([path], track, _REACH)
+    away, way = deviations([path], track, _MEASURED_RANGE)
     shown = {"path": path.places, "track": track, "away": away, "way": way}
     return {name: values[::_GIVEN].tolist() for name, values in shown.items()}
 
 
-def summary(kind: str, rows: list[dict[str, Any]]) -> str:
-    """Return the row of all runs of a kind: medians, 90 % and worst in mm, times as ratios."""
+def _rows(number: int, seed: int, kinds: Sequence[str]) -> Iterator[Row]:
+    plain = conditions_of("controller.path_speed=0.3 controller.path_tolerance=0.02", 30.0)
+    for kind in kinds:
+        yield Row((kind, number), [(plain, kind, seed, k) for k in range(number)])
+
+
+def _cells(rows: list[dict[str, Any]], _: object) -> list[object]:
+    """Return the cells of all runs of a kind: medians, 90 % and worst in mm, times as ratios."""
     def spread(name: str, scale: float, form: str) -> str:
         known = [scale * one[name] for one in rows if one[name] is not None]
         if not known:
             return "-"
         return " / ".join(f"{value:{form}}" for value in np.quantile(known, (0.5, 0.9, 1.0)))
 
-    return row(
-        kind, len(rows), sum(one["time"] is not None and one["end"] < 0.01 for one in rows),
+    return [
+        sum(one["time"] is not None and one["end"] < 0.01 for one in rows),
         spread("rms", 1e3, ".2f"), spread("largest", 1e3, ".1f"), spread("end", 1e3, ".1f"),
         spread("ratio", 1.0, ".3f"), sum(one["crossings"] > 0 for one in rows),
         sum(one["failures"] for one in rows), f"{1e3 * max(one['apart'] for one in rows):.2g}",
+    ]
+
+
+TABLES = {
+    name: Table(
+        ("path", "runs", "at the end", "rms [mm]: median / 90 % / worst", "largest [mm]",
+         "at the end [mm]", "time over that of reference", "across Γ", "failed solves",
+         "judge from plant [mm]"),
+        partial(_rows, kinds=kinds), measured, _cells, number=20, has_total=True,
     )
-
-
-def main() -> None:
-    """Run along paths of all kinds and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kinds", nargs="+", choices=[*KINDS, "gentle"], default=KINDS[:3])
-    parser.add_argument("--starts", type=int, default=20, help="runs of each kind")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--speed", type=float, default=0.3, help="[m/s]; 0: as fast as it can")
-    parser.add_argument("--tolerance", type=float, default=0.02, help="[m]")
-    parser.add_argument("--plant", default="rolling")
-    parser.add_argument("--perturb", type=float, default=0.0, help="per cent")
-    parser.add_argument("--noise", type=float, default=0.0, help="of the position [m]")
-    parser.add_argument("--jobs", type=int, default=cores())
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
-    limit_library_threads()
-    options = {**vars(given), "json": None}
-    kinds = [each for kind in given.kinds for each in (GENTLE if kind == "gentle" else [kind])]
-    tasks = [(kind, number, options) for kind in kinds for number in range(given.starts)]
-    rows = in_processes(measured, tasks, given.jobs)
-    print(header(
-        "path", "runs", "at the end", "rms [mm]: median / 90 % / worst", "largest [mm]",
-        "at the end [mm]", "time over that of reference", "across Γ", "failed solves",
-        "judge from plant [mm]",
-    ))
-    for kind in kinds:
-        print(summary(kind, [one for one in rows if one["kind"] == kind]))
-    print(summary("all", rows))
-    write_json(given.json, {"machine": machine(), "options": options, "rows": rows})
-
+    for name, kinds in (("plain", PLAIN), ("gentle", GENTLE), ("places", ["places"]))
+}
 
 if __name__ == "__main__":
-    main()
+    print_tables(TABLES, __doc__)

@@ -30,7 +30,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from lossy_link import ADDRESSES, LinkError, Quality, lossy_link
-from node_runs import write_json
+from machine import write_json
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.rotation import random_quaternion

@@ -45,7 +45,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.cdr import floor_message
+from sphere_nmpc.ros.cdr_messages import floor_message
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros

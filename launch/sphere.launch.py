@@ -38,11 +38,11 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchContext, LaunchDescription
-from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.foreign_file import InvalidFileError, find_file
+from sphere_nmpc.foreign.file import InvalidFileError, find_file
 from sphere_nmpc.model.state import upright_state
+from sphere_nmpc.process.child import module_command
 from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import STRATEGIES
@@ -61,8 +61,8 @@ RECORDED = (
     "controller/active_goal", "controller/at_goal", "controller/eta", "controller/floor",
     "controller/path", "controller/predicted_path", "controller/status", "simulator/pushed",
 )
-"""Without goal_pose, goal_point, goals, path, map, keepout and simulator/push: `ros2 topic pub
---once` ends after the first matched subscription, which has to be the one that is meant. The
+"""Topics, without goal_pose, goal_point, goals, path, map, keepout, simulator/push: `ros2 topic
+pub --once` ends after the first matched subscription, which has to be the one that is meant. The
 accepted goals are in active_goal, paths in controller/path, map and areas to keep out of in floor,
 the pushes in pushed. Without imu, which is read only while it has a subscription."""
 OF_ODOMETRY = (

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
-from sphere_nmpc.entry_table import Entry, EntryTable
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.foreign.entry_table import Entry, EntryTable
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP, TABLE_1_UNITS, RobotUnits
 from sphere_nmpc.quantity import quantity, validate
@@ -38,7 +38,7 @@ STRATEGIES = EntryTable(
 
 SHORTEST_PERIOD = 1e-2
 """Shortest sample period [s], also where it follows from the robot."""
-_SHORTEST = {"sample_period": SHORTEST_PERIOD, "integration_step": 1e-3}
+_MIN_PERIODS = {"sample_period": SHORTEST_PERIOD, "integration_step": 1e-3}
 """Least values of times that are given [s]."""
 _INPUT_WEIGHT = 0.5
 """The paper's alpha [s^2/rad^2; for the robot of Table 1]."""
@@ -166,7 +166,7 @@ class ControllerSettings:
 
     def __post_init__(self) -> None:
         validate(self)
-        for name, least in _SHORTEST.items():
+        for name, least in _MIN_PERIODS.items():
             given = getattr(self, name)
             if 0.0 < given < least:
                 raise InvalidParameterError(name, given, f"0 or at least {least:g} s")

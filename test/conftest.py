@@ -56,7 +56,7 @@ from sphere_nmpc.ros.network import use_loopback_only  # noqa: E402
 use_loopback_only()
 from end_of_run import end_with_this_process  # noqa: E402
 
-from sphere_nmpc.child import END_SIGNALS  # noqa: E402
+from sphere_nmpc.process.child import END_SIGNALS  # noqa: E402
 
 end_with_this_process()
 

@@ -4,7 +4,7 @@
 
     python bench/documents/ablation.py strategy                 # all numbers, half an hour
     python bench/documents/ablation.py estimator push tilt=10   # some, one to a given value
-    python bench/documents/ablation.py constants strategy.time_optimal.guide:_FARTHEST=7.0
+    python bench/documents/ablation.py constants strategy.time_optimal.guide:_MAX_GOAL_DISTANCE=7.0
 
 A number is changed by a factor that is large for it, and the runs of the studies that it matters
 for are made as with the defaults. For each study the mean change of the settling time is printed
@@ -27,21 +27,20 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from tables import header, in_processes, row
+from tables import UNDISTURBED, Row, Table, conditions_of, drawn
 
 from sphere_nmpc.control import planner
 from sphere_nmpc.estimation import estimator
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.perturbation import DisturbanceDraws
-from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
+from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.study.single_run import floor_of, run_scenario
+from sphere_sim.study.single_run import run_scenario
 from sphere_sim.study.workers import cores
 
 
@@ -67,7 +66,6 @@ Numbers = TimeOptimalSettings | EstimatorSettings | Constants
 
 NEVER = 1.5
 """Settling time of a run that does not settle [of its length]."""
-_UNDISTURBED = DisturbanceDraws()
 
 
 @dataclass(frozen=True)
@@ -84,24 +82,19 @@ class Study:
     kind: str = "anywhere"
     percent: float = 3.0
     duration: float = 20.0
-    draws: DisturbanceDraws = _UNDISTURBED
+    draws: DisturbanceDraws = UNDISTURBED
     loose: bool = False
     result: str = "settle_time_s"
 
     @property
     def conditions(self) -> StudyConditions:
         """Conditions of the runs."""
-        pairs = [tuple(one.split("=")) for one in self.settings.split()]
-        plain = StudyConditions(duration=self.duration, perturbation=self.percent)
-        return plain.with_settings([(name, value) for name, value in pairs])
+        return conditions_of(self.settings, self.duration, self.percent)
 
     @property
     def scenarios(self) -> list[Scenario]:
         """Scenarios with their disturbances."""
-        given = self.conditions
-        floor, _ = floor_of(given.floor, given.robot.shell_radius)
-        drawn = draw_scenarios(self.runs, self.seed, self.kind, floor)
-        return [self.draws.applied_to(scenario) for scenario in drawn]
+        return drawn(self.conditions, self.runs, self.seed, self.kind, self.draws)
 
     @property
     def metric(self) -> str:
@@ -199,13 +192,12 @@ KINDS: dict[str, type[Numbers]] = {
 
 
 def measured(
-    numbers: Numbers, conditions: StudyConditions, scenario: Scenario,
-    metric: str = "settle_time_s",
-) -> tuple[float, float]:
-    """Make a run with other settings; called in a process of the pool.
+    numbers: Numbers, conditions: StudyConditions, scenario: Scenario, study: Study = EXACT
+) -> tuple[str, float, float]:
+    """Make a run of a study with other settings; called in a process of the pool.
 
-    Returns its settling time [s], the result `metric`, nan where it did not settle, and its
-    processor time [s].
+    Returns the name of the study, its result, that of `NEVER` where the run did not settle, and
+    its processor time [s].
     """
 
     def tuned(
@@ -224,8 +216,9 @@ def measured(
         if isinstance(numbers, Constants):
             numbers.apply(patches)
         began = time.process_time()
-        found = run_scenario(conditions, scenario).results.get(metric)
-        return float(found) if isinstance(found, float) else np.nan, time.process_time() - began
+        found = run_scenario(conditions, scenario).results.get(study.metric)
+        spent = time.process_time() - began
+    return study.name, found if isinstance(found, float) else NEVER * study.duration, spent
 
 
 @cache
@@ -235,27 +228,29 @@ def _load(conditions: StudyConditions, scenario: Scenario) -> None:
         run_scenario(dataclasses.replace(conditions, duration=0.5), scenario)
 
 
-def settling(numbers: Numbers, studies: Studies, jobs: int) -> dict[Study, Vector]:
-    """Return the settling times [s] and processor times [s] of the runs of each study, (n, 2)."""
-    tasks = [
-        (numbers, study.conditions, scenario, study.metric)
-        for study in studies for scenario in study.scenarios
-    ]
-    runs = np.array(in_processes(measured, tasks, jobs))
-    never = [NEVER * study.duration for study in studies for _ in range(study.runs)]
-    runs[:, 0] = np.where(np.isfinite(runs[:, 0]), runs[:, 0], never)
-    ends = np.cumsum([study.runs for study in studies])
-    return dict(zip(studies, np.split(runs, ends[:-1]), strict=True))
+def row_of(
+    names: tuple[object, ...], numbers: Numbers, studies: Iterable[Study]
+) -> Row:
+    """Return the row of all runs of studies with some numbers."""
+    return Row(names, [(numbers, study.conditions, scenario, study)
+                       for study in studies for scenario in study.scenarios])
 
 
-def compared(study: Study, runs: Vector, default: Vector) -> str:
-    """Return in words how runs of a study differ from those with the defaults."""
-    change = runs[:, 0] - default[:, 0]
-    error = float(np.std(change, ddof=1)) / np.sqrt(change.size)
-    mean = f"{np.mean(change):+.2f} ± {error:.2f}" if change.any() else "0"
-    spent = runs[:, 1].mean() / default[:, 1].mean()
-    unit = "N² m² s" if study.result == "heat" else "s"
-    return f"{study.name} {mean} {unit} ({spent:.2f})"
+def cells(found: list[Any], default: list[Any]) -> list[str]:
+    """Return in words how the runs of each study differ from those with the defaults."""
+    words = []
+    for name in dict.fromkeys(run[0] for run in found):
+        runs, before = (np.array([run[1:] for run in some if run[0] == name])
+                        for some in (found, default))
+        if found is default:
+            words.append(f"{name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f}")
+            continue
+        change = runs[:, 0] - before[:, 0]
+        error = float(np.std(change, ddof=1)) / np.sqrt(change.size)
+        mean = f"{np.mean(change):+.2f} ± {error:.2f}" if change.any() else "0"
+        unit = "N² m² s" if name == HEAT.name else "s"
+        words.append(f"{name} {mean} {unit} ({runs[:, 1].mean() / before[:, 1].mean():.2f})")
+    return ["; ".join(words)]
 
 
 def variants(kind: type[Numbers], words: Iterable[str]) -> list[tuple[str, Any, Studies]]:
@@ -292,20 +287,15 @@ def main() -> None:
     except (ValueError, SyntaxError) as error:
         parser.error(str(error))
     limit_library_threads()  # for the processes, which inherit it
-    needed = tuple(dict.fromkeys(study for _, _, studies in wanted for study in studies))
-    before = settling(defaults, needed, given.jobs)
-    for study, runs in before.items():
-        print(f"{study.name}: {len(runs)} runs, mean {runs[:, 0].mean():.2f}")
-    print(header(
-        "number", "default", "changed to",
-        "mean change of the settling time (processor time over the default's)",
-    ), flush=True)
+    needed = dict.fromkeys(study for _, _, studies in wanted for study in studies)
+    rows = [row_of(("defaults", "", ""), defaults, needed)]
     for name, value, studies in wanted:
         one = {"changed": ((name, value),)} if given.kind == "constants" else {name: value}
-        found = settling(dataclasses.replace(defaults, **one), studies, given.jobs)
-        cells = (compared(study, runs, before[study]) for study, runs in found.items())
-        default = getattr(defaults, name, "")
-        print(row(f"`{name}`", default, value, "; ".join(cells)), flush=True)
+        numbers = dataclasses.replace(defaults, **one)
+        rows.append(row_of((f"`{name}`", getattr(defaults, name, ""), value), numbers, studies))
+    columns = ("number", "default", "changed to",
+               "mean change of the settling time (processor time over the default's)")
+    Table(columns, lambda *_: rows, measured, cells).printed(jobs=given.jobs)
 
 
 if __name__ == "__main__":

@@ -2,33 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loops with stamps that are not the times of measurement, lost poses, and late commands.
 
-``python bench/documents/inexact_times.py --seeds 1 2 3`` prints a table for docs/algorithm.md: the
-ideal plant, nominal parameters, no ROS, so that the load of the machine does not matter. Each run
-is compared with that of exact times at the same pose rate: settling time (error below 1e-2 from
-then on), and the largest distance from the goal over that at the start.
+``python bench/documents/inexact_times.py`` prints a table for docs/algorithm.md: the ideal plant,
+nominal parameters, no ROS, so that the load of the machine does not matter. Each run is compared
+with that of exact times at the same pose rate: settling time (error below 1e-2 from then on), and
+the largest distance from the goal over that at the start.
 """
 
-import argparse
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
-from tables import header, in_processes, row
+from tables import Row, Table, print_tables
 
-from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.library_threads import limit_library_threads
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, make_state
-from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.metrics import position_errors, state_errors
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario, draw_scenarios
-from sphere_sim.world.plant.factory import make_plant
-from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import Simulator
+from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.single_run import prepare
 
-ROBOT = RobotParameters()
+_CONDITIONS = StudyConditions(20.0)
 RATES = 20, 50, 200
 """Pose rates [Hz]."""
 SETTLED = 1e-2
@@ -41,7 +37,8 @@ POSES = (
     "lost", "outliers",
 )
 """Kinds of poses; numbers are in ms."""
-COMMANDS = ("in time", "late", "lost")
+COMMANDS = ("late", "lost")
+"""Kinds of commands that are not all in time."""
 
 
 def stamped(
@@ -75,8 +72,7 @@ def stamped(
 
 
 def run(
-    scenario: Scenario, poses: str, commands: str, rate: int, measured: bool, duration: float,
-    settings: ControllerSettings | None = None,
+    scenario: Scenario, poses: str, commands: str, rate: int, measured: bool, duration: float
 ) -> tuple[float, float, float, float]:
     """Run a loop.
 
@@ -84,12 +80,7 @@ def run(
     that at the start [m], the largest momentum that was believed [rad/s], and the final error.
     """
     rng = np.random.default_rng(scenario.seed)
-    settings = settings or ControllerSettings()
-    simulator = Simulator(
-        SimulatorSettings(initial_state=tuple(scenario.start)), ROBOT,
-        make_plant("rolling", ROBOT, scenario.start),
-    )
-    controller = Controller(settings, ROBOT)
+    simulator, controller = prepare(_CONDITIONS, scenario)
     controller.set_goal(scenario.goal)
     period = 1000.0 / rate
     instants = np.array([k * period for k in range(round(1e3 * duration / period))])
@@ -98,7 +89,7 @@ def run(
     states: dict[float, Vector] = {}
     next_measured = next(measurements)
     on_way: list[tuple[float, FirstOrderHold]] = []
-    control = round(1e3 * settings.control_period)
+    control = round(1e3 * _CONDITIONS.controller.control_period)
     trajectory, momentum = [], 0.0
     lost = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     for now in range(round(1e3 * duration)):
@@ -142,56 +133,32 @@ def scenarios(seeds: list[int]) -> list[Scenario]:
     return [replace(chosen[k % 3], seed=seed) for k, seed in enumerate(seeds)]
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
-    parser.add_argument("--rates", type=int, nargs="+", default=RATES)
-    parser.add_argument("--poses", nargs="+", default=POSES)
-    parser.add_argument("--commands", nargs="+", default=COMMANDS)
-    parser.add_argument("--duration", type=float, default=20.0)
-    parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args()
-    limit_library_threads()
-    links = [
-        (commands, measured) for commands in given.commands
-        for measured in ((False,) if commands == "in time" else (False, True))
-    ]
-    cells = [
-        (rate, poses, commands, measured)
-        for rate, poses, (commands, measured) in product(given.rates, given.poses, links)
-        if poses == "exact" or commands == "in time"
-    ]
-    chosen = scenarios(given.seeds)
-    tasks = [
-        (scenario, poses, commands, rate, measured, given.duration)
-        for rate, poses, commands, measured in cells for scenario in chosen
-    ]
-    exact = [(s, "exact", "in time", rate, False, given.duration) for rate in given.rates
-             for s in chosen]
-    results = in_processes(run, [*exact, *tasks], given.jobs)
-    count = len(chosen)
-    reference = {
-        rate: np.array(results[k * count : (k + 1) * count])[:, 0]
-        for k, rate in enumerate(given.rates)
-    }
-    results = results[len(exact) :]
-    print(header("rate [Hz]", "poses", "commands", "joint states", "settles [s]",
-                 "over exact times, worst", "farther than at the start [m]",
-                 "largest momentum [rad/s]", "final error, worst"))
-    bad = 0
-    for k, (rate, poses, commands, measured) in enumerate(cells):
-        found = np.array(results[k * count : (k + 1) * count])
-        ratio = float(np.max(found[:, 0] / reference[rate]))
-        bad += int(np.sum(~(found[:, 0] / reference[rate] <= 2.0)))
-        print(row(
-            rate, poses, commands, "yes" if measured else "no",
-            " ".join(f"{value:.2f}" for value in found[:, 0]), f"{ratio:.2f}",
-            f"{np.max(found[:, 1]):.2f}", f"{np.max(found[:, 2]):.2g}",
-            f"{np.max(found[:, 3]):.1e}",
-        ), flush=True)
-    print(f"\n{bad} of {len(results)} runs take longer than twice the exact time")
+def _rows(number: int, seed: int) -> Iterator[Row]:
+    chosen = scenarios(list(range(seed, seed + number)))
+    links = [(poses, "in time", False) for poses in POSES]
+    links[1:1] = product(("exact",), COMMANDS, (False, True))
+    for poses, commands, measured in links:
+        yield Row((poses, commands, "yes" if measured else "no"), [
+            (scenario, poses, commands, rate, measured, _CONDITIONS.duration)
+            for rate in RATES for scenario in chosen
+        ])
 
+
+def _cells(found: list[Any], exact: list[Any]) -> Iterator[object]:
+    by_rate = np.reshape(found, (len(RATES), -1, 4))
+    ratios = by_rate[:, :, 0] / np.reshape(exact, by_rate.shape)[:, :, 0]
+    for of_rate, ratio in zip(by_rate, ratios, strict=True):
+        yield f"{np.max(ratio):.2f} ({np.max(of_rate[:, 2]):.2g})"
+    yield from (np.sum(~(ratios <= 2.0)), f"{np.max(by_rate[:, :, 1]):.2f}",
+                f"{np.max(by_rate[:, :, 3]):.1e}")
+
+
+TABLE = Table(
+    ("poses", "commands", "joint states",
+     *(f"{rate} Hz: over exact times, worst (largest momentum [rad/s])" for rate in RATES),
+     "longer than twice", "farther than at the start [m]", "final error, worst"),
+    _rows, run, _cells, number=3, has_reference=True,
+)
 
 if __name__ == "__main__":
-    main()
+    print_tables({"": TABLE}, __doc__)

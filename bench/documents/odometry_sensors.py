@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import butter, lfilter
 from scipy.spatial.transform import Rotation
-from tables import in_processes
+from tables import header, in_processes, row
 
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry import Odometry
@@ -184,7 +184,7 @@ class Followed(NamedTuple):
     looks: list[tuple[float, ...]]
     """For each look the normalised squares of pose, position, orientation and heading over their
     degrees of freedom; the errors of position [m] and orientation [deg]."""
-    told: list[str]
+    reported: list[str]
     """Names of conditions."""
 
 
@@ -247,21 +247,23 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], choices=list(KINDS))
     given = parser.parse_args()
     kinds = given.only or list(KINDS)
-    every = in_processes(drives, [(kinds, seed) for seed in range(given.drives)], given.jobs)
-    print(f"{'NEES over degrees of freedom':28s}   end (median)  motion | at the end: position, "
-          "orientation, heading | median errors; told")
+    tasks = [(kinds, seed) for seed in range(given.drives)]
+    every = list(in_processes(drives, tasks, given.jobs))
+    print(header(
+        "errors", "NEES over degrees of freedom at the end (median)", "in motion",
+        "of position at the end", "of orientation", "of heading", "median errors", "reported",
+    ))
     for kind in kinds:
         runs = [run[kind] for run in every]
         squares = np.array([run.looks for run in runs])
         ends, moves = squares[:, -1], squares[:, [0, 1, 3, 4], 0]
-        mean, place, turn, heading = ends[:, :4].mean(axis=0)
+        mean, *parts = ends[:, :4].mean(axis=0)
         off, degrees = np.median(ends[:, 4:], axis=0)
-        names = ", ".join(sorted({name for run in runs for name in run.told}))
-        print(
-            f"{kind:28s} {mean:6.2f} ({np.median(ends[:, 0]):5.2f})  {moves.mean():6.2f} |"
-            f" {place:5.2f} {turn:5.2f} {heading:5.2f} | {1e3 * off:6.1f} mm {degrees:5.2f} deg;"
-            f" {names}"
-        )
+        print(row(
+            kind, f"{mean:.2f} ({np.median(ends[:, 0]):.2f})", f"{moves.mean():.2f}",
+            *(f"{part:.2f}" for part in parts), f"{1e3 * off:.1f} mm, {degrees:.2f}°",
+            ", ".join(sorted({name for run in runs for name in run.reported})),
+        ))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of docs/results.md from studies, or a table of the folders of other studies.
+"""Tables of docs/results.md and docs/strategy.md from studies, or of folders of other studies.
 
     python bench/documents/study_table.py --out out/results --write     # an hour on two cores
-    python bench/documents/study_table.py --out out/results --only noise
+    python bench/documents/study_table.py --out out/results --only noise effort
     python bench/documents/study_table.py out/mine out/others
 
 The first two run the studies that are declared below, as far as their folder does not have them,
-and print their tables; with ``--write`` the tables in the document are replaced. The third makes
-a table of any studies.
+and print their tables; with ``--write`` those in docs/results.md are replaced. The third makes a
+table of any studies.
 """
 
 import argparse
@@ -35,6 +35,11 @@ class Table(NamedTuple):
     studies: dict[str, str]
     """Arguments of ``sphere_nmpc study``."""
     columns: str = "settling"
+
+
+def _effort(margins: Sequence[float], arguments: str) -> dict[str, str]:
+    return {f"margin {margin:g}": f"{arguments} --seed 1 --set controller.time_margin={margin}"
+            for margin in margins}
 
 
 TABLES = {
@@ -83,42 +88,58 @@ TABLES = {
         "true parameters, `paper`": "--draw 40 --seed 1 --plant rigid_body --strategy paper",
         "10 %, `paper`": "--draw 40 --seed 1 --plant rigid_body --perturb 10 --strategy paper",
     }),
+    "effort": Table(_effort((0.0, 0.05, 0.1, 0.2, 0.5, 1.0), "--draw 40 --duration 20"), "effort"),
+    "effort, far": Table(
+        _effort((0.0, 0.1, 0.5), "--draw 8 --kind far --duration 130"), "effort"
+    ),
+}
+
+
+_SETTLING = ("settled", "after: median / p99 / worst [s]", "error left: median / worst")
+_COLUMNS = {
+    "settling": _SETTLING, "loosely settling": _SETTLING,
+    "over best known": ("settled", "ratio: median / p90 / p99 / worst"),
+    "effort": ("settling: median / worst", "heat: median / worst", "energy: median / worst"),
 }
 
 
 def lines(studies: dict[str, Path], columns: str) -> str:
     """Return the table of the studies in some folders, by name."""
-    names = {
-        "settling": ("settled", "after: median / p99 / worst [s]", "error left: median / worst"),
-        "over best known": ("settled", "ratio: median / p90 / p99 / worst"),
-    }
-    names["loosely settling"] = names["settling"]
+    runs = {name: _runs_of(folder) for name, folder in studies.items()}
+    first = next(iter(runs.values()))
     return "\n".join([
-        header("study", *names[columns]),
-        *(row(name, *cells(folder, columns)) for name, folder in studies.items()),
+        header("study", *_COLUMNS[columns]),
+        *(row(name, *cells(found, columns, first)) for name, found in runs.items()),
     ])
 
 
-def cells(folder: Path, columns: str) -> list[str]:
-    """Return the cells of one study, which has one strategy."""
+def _runs_of(folder: Path) -> dict[str, Vector]:
+    """Return the numbers of a study of one strategy, by column; nan where there is none."""
     with (folder / "runs.csv").open(encoding="utf-8", newline="") as file:
         runs = list(csv.DictReader(file))
+    names = ("settle_time_s", "loose_settle_time_s", "bound_s", "final_error", "tail_error_p95",
+             "heat", "energy_j")
+    return {name: np.array([float(run.get(name) or "nan") for run in runs]) for name in names}
 
-    def numbers(name: str) -> Vector:
-        return np.array([float(run.get(name) or "nan") for run in runs])
 
+def cells(runs: dict[str, Vector], columns: str, first: dict[str, Vector]) -> list[str]:
+    """Return the cells of one study; effort is over that of the first one, without a margin."""
     loose = columns == "loosely settling"
-    after = numbers("loose_settle_time_s" if loose else "settle_time_s")
-    settled = f"{np.isfinite(after).sum()} of {len(runs)}"
+    after = runs["loose_settle_time_s" if loose else "settle_time_s"]
+    settled = f"{np.isfinite(after).sum()} of {len(after)}"
+    if columns == "effort":
+        ratios = [after / runs["bound_s"], *(runs[n] / first[n] for n in ("heat", "energy_j"))]
+        # A run that does not settle counts as infinite.
+        return [_spread(np.where(np.isnan(one), np.inf, one), [50], ".3f") for one in ratios]
     if columns == "over best known":
-        return [settled, _spread(after / numbers("bound_s"), [50, 90, 99], ".3f")]
-    error = numbers("tail_error_p95" if loose else "final_error")
+        return [settled, _spread(after / runs["bound_s"], [50, 90, 99], ".3f")]
+    error = runs["tail_error_p95" if loose else "final_error"]
     left = f"{np.nanmedian(error):.1e} / {np.nanmax(error):.1e}"
     return [settled, _spread(after, [50, 99], ".2f"), left]
 
 
 def _spread(values: Vector, shares: Sequence[float], how: str) -> str:
-    known = values[np.isfinite(values)]
+    known = values[~np.isnan(values)]
     if not known.size:
         return "-"
     return " / ".join(format(v, how) for v in (*np.percentile(known, shares), known.max()))
@@ -129,7 +150,7 @@ def made(name: str, table: Table, out: Path) -> str:
     folders = {}
     for number, (study_name, arguments) in enumerate(table.studies.items(), 1):
         folders[study_name] = folder = out / f"{name} {number}".replace(" ", "_")
-        bound = [] if table.columns == "over best known" else ["--no-bound"]
+        bound = [] if table.columns in ("over best known", "effort") else ["--no-bound"]
         if study.main([*shlex.split(arguments), *bound, "--out", str(folder)]):
             sys.exit(f"{name}, {study_name}: the study has failed")
     return lines(folders, table.columns)
@@ -158,7 +179,7 @@ def main() -> None:
     for name in given.only:
         table = made(name, TABLES[name], given.out)
         print(f"{name}:\n{table}\n", flush=True)
-        if given.write:
+        if given.write and TABLES[name].columns != "effort":
             text = _DOCUMENT.read_text(encoding="utf-8")
             _DOCUMENT.write_text(replaced(text, name, table), encoding="utf-8")
 

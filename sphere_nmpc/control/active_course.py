@@ -86,7 +86,7 @@ class CourseInForce:
             self.active = replace(self.active, index=self.active.index + 1)
 
     def at(self, time: float) -> ActiveCourse | None:
-        """Return it as it is to be expected from a control time [s] on."""
+        """Return the course as it is to be expected from a control time [s] on."""
         known = self.active
         if known is not None:
             goal = current(known.goal, time)

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.state import NO_MOMENTUM, Vector, angle_error, position_error, state_error
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.plan import Plan
 
 _SOLVED = (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_PROGRESS, Kind.SATURATED)
@@ -23,7 +23,7 @@ class Decision:
     Attributes
     ----------
     conditions : tuple of Condition
-        How things stand; the first one tells the mode.
+        How things stand; the first one is the mode.
     plan : Plan
         The plan, before it is joined to the speeds in force by `Controller.commit`.
     state : ndarray of shape (9,), or None

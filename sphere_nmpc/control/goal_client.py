@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Client of goals: which one is in force at the controller, and how each of them ends.
 
-The controller is known by its statuses alone, which tell the stamp of the goal in force. A goal is
+The controller is known by its statuses alone, which have the stamp of the goal in force. A goal is
 one message, or several that are sent one after the other: its stages. Each is sent with a stamp of
 its own, again until a status shows it. A goal has one end.
 """
@@ -17,10 +17,10 @@ from typing import Any
 from sphere_nmpc.control.goal_report import OF_THE_WAY, GoalReport, Patience
 from sphere_nmpc.quantity import quantity, stamp_text, validate
 
-_AGAIN = 1.0
+_RETRY_TIME = 1.0
 """Time [s] after which a goal that no status shows, or a request to cancel, is sent again; the
 longest one that counts between two updates, as the process may have been stopped meanwhile."""
-_KEPT = 100
+_MAX_EARLIER_GOALS = 100
 """Earlier goals whose stamps are known."""
 
 
@@ -107,9 +107,9 @@ class _Pursuit:
     until_taken: bool
     """Whether a stage is over when the controller shows it."""
     message: Any
-    """That of the present stage, with which all below is concerned."""
+    """Message of the present stage, with which all below is concerned."""
     stamp: int
-    """That of the message [ns]."""
+    """Stamp of the message [ns]."""
     began_at: float
     patience: Patience
     shown_at: float
@@ -248,7 +248,7 @@ class GoalClient:
         elif pursuit is not None and self._is_over(pursuit):
             self._go_on(pursuit)
         pursuit, send, cancel = self._pursuit, False, False
-        may_act = self._requested_at is None or self._now - self._requested_at > _AGAIN
+        may_act = self._requested_at is None or self._now - self._requested_at > _RETRY_TIME
         if pursuit is None or pursuit.cancelled_at is not None:
             if cancel := can_cancel and may_act and self._is_to_drop():
                 self._requested_at = self._now
@@ -261,14 +261,14 @@ class GoalClient:
     def _advance(self, now: float) -> None:
         """Advance the client's time, in which none passes for a process that is stopped."""
         if not math.isnan(self._clock):
-            self._now += min(max(0.0, now - self._clock), _AGAIN)
+            self._now += min(max(0.0, now - self._clock), _RETRY_TIME)
         self._clock = now
 
     def _is_lost(self, pursuit: _Pursuit) -> bool:
         """Return whether the message of the stage is to be sent, for the first time or again."""
         if pursuit.sent_at is None:
             return True
-        is_late = max(pursuit.sent_at, pursuit.shown_at) + _AGAIN < self._now
+        is_late = max(pursuit.sent_at, pursuit.shown_at) + _RETRY_TIME < self._now
         return is_late and (pursuit.newest is None or self._shows_former())
 
     def _is_to_drop(self) -> bool:
@@ -276,7 +276,7 @@ class GoalClient:
 
         The status is to be recent, and not from before the last answer.
         """
-        is_recent = self._now - self._heard_at < _AGAIN and self._heard_at > self._answered_at
+        is_recent = self._now - self._heard_at < _RETRY_TIME and self._heard_at > self._answered_at
         if self._pursuit is None:  # it may stay where it was reached
             return is_recent and self._former.get(self._shown) is False
         return is_recent and self._shows_own(self._pursuit)
@@ -363,7 +363,7 @@ class GoalClient:
     def _keep(self, pursuit: _Pursuit) -> None:
         """Keep the stamp of a stage that is over."""
         self._former[stamp_text(pursuit.stamp)] = pursuit.reached_at is not None
-        if len(self._former) > _KEPT:
+        if len(self._former) > _MAX_EARLIER_GOALS:
             del self._former[next(iter(self._former))]
 
     @property

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from sphere_nmpc.control.active_course import ActiveCourse
+from sphere_nmpc.foreign.own_folder import KeptFile
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import as_state
-from sphere_nmpc.own_folder import KeptFile
 
 
 def goal_memory(path: Path, keep: float) -> KeptFile[ActiveCourse]:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.quantity import known
+from sphere_nmpc.reporting.conditions import Kind
 
 _PURSUED = {mode.value for mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL)}
 """Modes in which nothing keeps the controller from its goal."""
@@ -74,7 +74,7 @@ class GoalReport:
     def of(cls, values: Mapping[str, str]) -> "GoalReport":
         """Return the report of a status with these values; the only place that knows their keys.
 
-        Before its first sampling instant a controller tells nothing of plans and commands.
+        Before its first sampling instant a controller reports nothing of plans and commands.
         `InvalidInputError` is raised for values that are no status of a controller.
         """
         given_up = values.get("giving_up", "")
@@ -124,9 +124,9 @@ class Patience:
 
     def exhausted(self, report: GoalReport, now: float) -> str:
         """Return why the goals of a report are given up at `now` [s]; empty while they are not."""
-        mode, told = report.mode, f": {report.obstacle}" if report.obstacle else ""
+        mode, reason = report.mode, f": {report.obstacle}" if report.obstacle else ""
         if report.stamp and report.unreachable in _OF_THE_GOAL:
-            return report.cause + told
+            return report.cause + reason
         if mode in _PURSUED:
             self._since = None
             return ""
@@ -136,6 +136,6 @@ class Patience:
             mode == Kind.NO_PROGRESS.value and report.unreachable
         )
         if report.stamp and is_final:
-            return mode + told
+            return mode + reason
         is_over = now - self._since > self._longest
-        return f"{mode}{told}, for {self._longest:g} s" if is_over else ""
+        return f"{mode}{reason}, for {self._longest:g} s" if is_over else ""

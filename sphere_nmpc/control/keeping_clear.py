@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -69,7 +69,7 @@ def clear_command(
     stop, as the next plan, after `period` [s], corrects that; where that is not, only a stop. All
     are joined to the speeds in force, see `Commands.joined`.
     """
-    durations, speeds = commands.sent.pieces(situation.time, start)
+    durations, speeds = commands.rotors.pieces(situation.time, start)
     times, late = np.append(0.0, np.cumsum(durations)), start - hold.start
     for sent in (
         commands.joined(hold, start, period),

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.pose_stream import SAME_POSE
+from sphere_nmpc.control.pose_stream import SAME_POSE_DEVIATIONS
 from sphere_nmpc.model.disturbance import (
     Disturbance,
     push_against,
@@ -28,28 +27,29 @@ from sphere_nmpc.model.state import (
     position_error,
     state_error,
 )
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 
-_LEAVING = 2.0
+_LEAVING_ERROR = 2.0
 """Relative error above which the goal counts as left: hysteresis against noise."""
-_PERIODS = 6.0
+_PERIODS_WITHOUT_PROGRESS = 6.0
 """Time without progress after which it is missing [sample periods], unless that is shorter than
-`_SHORTEST`."""
-_SHORTEST = 5.0
+`_MIN_TIME_WITHOUT_PROGRESS`."""
+_MIN_TIME_WITHOUT_PROGRESS = 5.0
 """Shortest time after which progress is missing [s]: on a busy machine a search from rest takes
 seconds."""
-_STANDING = 2e-3
+_STANDING_SHARE = 2e-3
 """Share of the largest speed [-] up to which a sphere stands, in the mean over that time."""
-_FALLEN = 0.95
+_FALLEN_ERROR_SHARE = 0.95
 """Share of an error [-] below which it has fallen."""
-_IGNORED = 4.0
+_IGNORED_ROLLING_RATIO = 4.0
 """Rolling that the rotor speeds sent should have caused, over what counts as standing [-], above
 which they have had no effect."""
-_NEAR = 0.7
+_WARNING_SPEED_SHARE = 0.7
 """Share of the limit of the rotor speeds from which on it is near [-]."""
-_SOON = 60.0
-"""Longest time to the limit that is told [s]; slower changes are within the estimate's error."""
+_MAX_REPORTED_TIME = 60.0
+"""Longest reported time to the limit [s]; slower changes are within the estimate's error."""
 
 
 def relative_error(
@@ -91,7 +91,7 @@ class ArrivalDetector:
 
         The error has to stay below 1 for the time `dwell` [s]; nan counts as above.
         """
-        if not error < (_LEAVING if self.reached else 1.0):
+        if not error < (_LEAVING_ERROR if self.reached else 1.0):
             self.reset()
         elif self._inside_since is None or time < self._inside_since:
             self._inside_since = time
@@ -164,11 +164,11 @@ class Progress:
         if none_needed:
             self._stand = None
             return None
-        longest = max(_PERIODS * settings.period, _SHORTEST)
-        standing = _STANDING * self._gain * self._max_speed * longest + self._noise(settings)
+        longest = max(_PERIODS_WITHOUT_PROGRESS * settings.period, _MIN_TIME_WITHOUT_PROGRESS)
+        standing = _STANDING_SHARE * self._gain * self._max_speed * longest + self._noise(settings)
         stand = self._stand
         if stand is None or elapsed < 0.0 or (
-            # Noisy poses do not tell that it rests where a plan holds it, unless the goal moves.
+            # Noisy poses do not show that it rests where a plan holds it, unless the goal moves.
             not np.array_equal(goal[POSITION], stand.place) if holds
             else self._progresses(stand, pose, error, standing)
         ):
@@ -178,7 +178,7 @@ class Progress:
         waited = time - stand.since
         if waited < longest:
             return None
-        ignored = self._rolling if self._rolling > _IGNORED * standing else 0.0
+        ignored = self._rolling if self._rolling > _IGNORED_ROLLING_RATIO * standing else 0.0
         self._found = Condition(
             Kind.NO_PROGRESS,
             f"given a sphere that has stood for {waited:.1f} s, error {error:.2g}, "
@@ -189,7 +189,7 @@ class Progress:
     def _progresses(self, stand: _Stand, pose: Vector, error: float, standing: float) -> bool:
         """Return whether the sphere has moved by more than `standing` [rad], or its error fell."""
         return (
-            error < _FALLEN * stand.error
+            error < _FALLEN_ERROR_SHARE * stand.error
             or position_error(pose, stand.pose) > standing * self._radius
             or angle_error(pose, stand.pose) > standing
         )
@@ -197,14 +197,14 @@ class Progress:
     def _noise(self, settings: ControllerSettings) -> float:
         """Return the rolling [rad] that two noisy poses of one place may differ by."""
         position = settings.pose_position_noise / self._radius
-        return SAME_POSE * max(position, settings.pose_orientation_noise)
+        return SAME_POSE_DEVIATIONS * max(position, settings.pose_orientation_noise)
 
     def _cause(self, decision: Decision, ignored: float) -> str:
         """Return what is known of the cause, such as `ignored` rolling [rad] of the rotors."""
         plan = decision.plan
         if plan.status is PlanStatus.HOLDING and not plan.given_up:
             return (
-                "it rests as near as its poses tell where it is: less noise of the poses, or a "
+                "it rests as near as its poses show where it is: less noise of the poses, or a "
                 "larger goal_tolerance"
             )
         if ignored:
@@ -216,23 +216,23 @@ class Progress:
             return f"the strategy gives up {plan.given_up}"
         if plan.status is PlanStatus.RAMP_TO_REST:
             return f"there is no plan: {plan.message}"
-        told = f"{plan.status.value}: {plan.message}" if plan.message else plan.status.value
+        described = f"{plan.status.value}: {plan.message}" if plan.message else plan.status.value
         knots = zip(plan.hold.times, plan.hold.speeds, strict=True)
         planned = max(_excess(speeds, decision, float(time)) for time, speeds in knots)
-        if planned < _STANDING * self._max_speed:
-            return f"the plan leaves it where it is ({told})"
-        return f"each plan begins at rest and moves it later ({told})"
+        if planned < _STANDING_SHARE * self._max_speed:
+            return f"the plan leaves it where it is ({described})"
+        return f"each plan begins at rest and moves it later ({described})"
 
 
 def _tolerance(settings: ControllerSettings) -> float:
-    """Return the error in R^6 below which no progress is needed, or none can be told."""
+    """Return the error in R^6 below which no progress is needed, or none can be seen."""
     # Two coordinates, and half the rotation about each of three axes.
     noise = math.hypot(
         math.sqrt(2.0) * settings.pose_position_noise,
         math.sqrt(0.75) * settings.pose_orientation_noise,
     )
     position, angle = settings.tolerances
-    return min(position, 0.5 * angle) + SAME_POSE * noise
+    return min(position, 0.5 * angle) + SAME_POSE_DEVIATIONS * noise
 
 
 def _excess(speeds: Vector, decision: Decision, time: float) -> float:
@@ -255,7 +255,7 @@ def rotor_reserve(
     """Return the warning about rotors that hold a momentum at the goal; None without one."""
     quaternion, limit = goal[QUATERNION], robot.max_rotor_speed
     needed = float(np.max(np.abs(rest_speeds(momentum, quaternion))))
-    if needed < _NEAR * limit:
+    if needed < _WARNING_SPEED_SHARE * limit:
         return None
     x, y = push_against(robot, momentum).tolist()
     push = f"a push of {math.hypot(x, y):.2g} N s towards {math.degrees(math.atan2(y, x)):.0f} deg"
@@ -266,7 +266,7 @@ def rotor_reserve(
             "slope takes the momentum, which a level floor leaves as it is",
         )
     left = time_to_saturation(momentum, disturbance, quaternion, limit)
-    if left > _SOON:
+    if left > _MAX_REPORTED_TIME:
         return None
     return Condition(
         Kind.ROTORS_NEAR_LIMIT, f"given {needed:.0f} of {limit:.0f} rad/s to hold the momentum "

@@ -8,7 +8,7 @@ Whatever a strategy does there is one: an error of it is recorded, and a new one
 from collections.abc import Callable
 from typing import cast
 
-from sphere_nmpc.foreign_code import called, foreign_error
+from sphere_nmpc.foreign.code import called, foreign_error
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import (

@@ -1,40 +1,28 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Monitors of the stream of measured poses: outliers, jumps, and stamps that are not exact."""
+"""Gate for measured poses: outliers, and jumps of the pose."""
 
 import math
 
-import numpy as np
-
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.control.recent import Recent
-from sphere_nmpc.estimation.pose_filter import SHORT_GAP
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 
-_FASTEST = 10.0
+_MAX_RATE_RATIO = 10.0
 """Rate of the shell that a push may cause, over the largest that the rotors cause [-]."""
-_SMALLEST = 0.1
-"""Turn of the shell [rad], and displacement in radii, that noise may be without being told."""
-SAME_POSE = 5.0
+_MIN_STEP = 0.1
+"""Turn of the shell [rad], and displacement in radii, that noise may be without being reported."""
+SAME_POSE_DEVIATIONS = 5.0
 """Standard deviations of a measured pose [-] within which two poses do not differ."""
-_WRONG_BY = 0.1
+_MAX_STAMP_ERROR = 0.1
 """Time by which stamps may be wrong [s]: poses that a bridge sends in bunches."""
-_SHARE = 0.2
-"""Share of the gaps that has to be wrong for it."""
-_INEXACT = 2e-3
-"""Standard deviation of the stamps from which on it is told [s]: 1.5 mm at the full speed of the
-robot of Table 1."""
-_LASTING = 3.0
-"""Control time for which that has to last [s]: a change of noise or slope looks like it for up to
-0.8 s, until it is known."""
 
 
 class PoseGate:
     """Gate for poses to which the sphere cannot have rolled from the newest one.
 
-    Such a pose is held back until the next one tells what it was: an outlier if that follows from
+    Such a pose is held back until the next one shows what it was: an outlier if that follows from
     the pose before, or the place to which the sphere has been carried if it follows from the pose
     held back.
 
@@ -89,9 +77,9 @@ class PoseGate:
         from which it leads.
         """
         elapsed = time - before[0]
-        turn = self._rate * (_FASTEST * elapsed + _WRONG_BY) + _SMALLEST
-        way = self._radius * turn + SAME_POSE * settings.pose_position_noise
-        turn += SAME_POSE * settings.pose_orientation_noise
+        turn = self._rate * (_MAX_RATE_RATIO * elapsed + _MAX_STAMP_ERROR) + _MIN_STEP
+        way = self._radius * turn + SAME_POSE_DEVIATIONS * settings.pose_position_noise
+        turn += SAME_POSE_DEVIATIONS * settings.pose_orientation_noise
         (x, y), (then_x, then_y) = pose[POSITION].tolist(), before[1][POSITION].tolist()
         moved = math.hypot(x - then_x, y - then_y)
         half_cosine = abs(float(before[1][QUATERNION] @ pose[QUATERNION]))
@@ -101,58 +89,4 @@ class PoseGate:
         return (
             f"given a step of {moved:.3g} m and {math.degrees(turned):.3g} deg within "
             f"{elapsed:.3g} s, expected at most {way:.2g} m and {math.degrees(turn):.2g} deg"
-        )
-
-
-class StampWatch:
-    """Monitor of stamps that cannot be times of measurement; `plural` names what is measured."""
-
-    def __init__(self, plural: str = "poses") -> None:
-        self._plural = plural
-        self._newest: tuple[float, Vector] = (math.nan, np.empty(0))
-        self._gaps = Recent()
-        self._deviation, self._exact_at = 0.0, math.inf
-        """What is told [s], and the last time at which there was nothing to be told [s]."""
-
-    def received(self, stamp: float, measured: Vector) -> None:
-        """Record what was measured, and its stamp [s]; a copy of the one before counts as it."""
-        (before, same), self._newest = self._newest, (stamp, measured)
-        if stamp > before or (stamp == before and not np.array_equal(measured, same)):
-            self._gaps.append(stamp - before)
-
-    def moved(self, time: float, deviation: float) -> None:
-        """Record the standard deviation of the stamps [s] that motion has shown at a time [s]."""
-        if not (deviation >= _INEXACT and time >= self._exact_at):
-            self._exact_at = time
-        self._deviation = deviation if time >= self._exact_at + _LASTING else 0.0
-
-    def fault(self) -> Condition | None:
-        """Return what is wrong with the stamps, and the remedy; None if nothing is."""
-        gaps = np.array(self._gaps) if self._gaps.is_full else np.empty(0)
-        count = max(1, gaps.size)
-        mean = float(np.sum(gaps)) / count
-        short = SHORT_GAP * mean
-        same, close = (float(np.sum(gaps <= most)) / count for most in (0.0, short))
-        if same > _SHARE:
-            return Condition(
-                Kind.INEXACT_STAMPS,
-                f"given {100.0 * same:.0f} % of the {self._plural} with the same stamp as the one "
-                "before, expected the time of measurement of each: is the clock that stamps them "
-                "coarse? All but the first are dropped",
-            )
-        if close > _SHARE:
-            return Condition(
-                Kind.INEXACT_STAMPS,
-                f"given {100.0 * close:.0f} % of the {self._plural} less than {1e3 * short:.2g} "
-                f"ms after the one before, at {1.0 / mean:.3g} Hz, expected the times of "
-                f"measurement: {self._plural} are stamped where they are measured, not where "
-                "bunches of them are passed on",
-            )
-        if not self._deviation:
-            return None
-        return Condition(
-            Kind.INEXACT_STAMPS,
-            f"given poses whose stamps are off by about {1e3 * self._deviation:.2g} ms, by the "
-            "motion that they show, expected the times of measurement: stamp them where they are "
-            "measured, by the clock of this node",
         )

@@ -11,23 +11,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.settings import ControllerSettings
 
 _AT_REST = FirstOrderHold.constant(0.0, np.zeros(INPUT_SIZE))
-_EARLY = 0.25
+_MAX_EARLINESS = 0.25
 """How much before its instant a tick may appear to be, in periods: the first one may be late.
 One may be late by up to the rest of a period before it counts for the next instant."""
 PLANNING_SHARE = 0.4
 """Share of the control period that planning may take, and by which a plan is made ahead at most;
 the rest is for other processes."""
-_LEAST_SHARE = 0.1
+_MIN_PLANNING_SHARE = 0.1
 """Share of the control period that planning may take at any tick, however late it is."""
-_NEGLIGIBLE = 0.02
+_NEGLIGIBLE_DELAY_SHARE = 0.02
 """Share of the control period up to which a command counts as sent at its instant."""
 
 
@@ -133,7 +133,7 @@ class Schedule:
         if self._origin is None:
             self._origin, self._last = now, 0
             return now
-        k = math.floor((now - self._origin) / period + _EARLY)
+        k = math.floor((now - self._origin) / period + _MAX_EARLINESS)
         if self._origin + k * period > now:
             self._origin = now - k * period
         self.missed += max(0, k - self._last - 1)
@@ -143,7 +143,7 @@ class Schedule:
     def _lead(self) -> float:
         """Return the predicted delay of a command behind its instant [s, control time]."""
         expected = max(self._took, default=0.0)
-        if expected < _NEGLIGIBLE * self._period:
+        if expected < _NEGLIGIBLE_DELAY_SHARE * self._period:
             return 0.0
         return min(expected, PLANNING_SHARE * self._period)
 
@@ -213,7 +213,7 @@ class Schedule:
 
     def _request(self, instant: float, now: float, lead: float) -> PlanRequest:
         period = self._period
-        left = max(instant + PLANNING_SHARE * period - now, _LEAST_SHARE * period)
+        left = max(instant + PLANNING_SHARE * period - now, _MIN_PLANNING_SHARE * period)
         return PlanRequest(instant + lead, now, left / (self._watch.pace or 1.0))
 
 

@@ -4,13 +4,14 @@
 
 from collections import deque
 
-from sphere_nmpc.control.recent import Recent
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.recent import Recent
 
 MOST_AHEAD = 0.5
 """How far ahead of its clock a command may begin [s]; a smaller step of the clock is no jump."""
-_WINDOW, _ENOUGH = 0.5, 1e-2
+_PACE_WINDOW, _MIN_PACE_TIME = 0.5, 1e-2
 """Wall time over which the pace is measured, and that at least needed [s]."""
-_HURRY = 3.0
+_MAX_CATCH_UP = 3.0
 """Excess over the measured pace up to which a simulated clock does not jump, in paces of at least
 1: on a busy machine simulator and controller run by turns."""
 _STEADY_AFTER = 0.2
@@ -18,9 +19,9 @@ _STEADY_AFTER = 0.2
 time that counts as a pause [s]."""
 _COUNT_EVERY = 1.0
 """Least wall time between two readings of the numbers of samples [s]."""
-_INTERVALS = 5
+_COUNTED_INTERVALS = 5
 """Intervals between readings over which the share is taken."""
-_MANY = 0.05
+_REPORTED_SHARE = 0.05
 """Share of missed instants from which on it is reported."""
 
 
@@ -113,7 +114,7 @@ class ClockWatch:
             return abs(step - passed) > MOST_AHEAD
         if step < 0.0 or pace is None or not self._has_pace:
             return step < 0.0
-        return step > MOST_AHEAD + (pace + _HURRY * max(1.0, pace)) * passed
+        return step > MOST_AHEAD + (pace + _MAX_CATCH_UP * max(1.0, pace)) * passed
 
     def _measure(self, now: float, wall: float) -> None:
         self._read_at, readings = wall, self._readings
@@ -124,12 +125,12 @@ class ClockWatch:
             return
         self._last = (now, wall)
         readings.append((now, wall))
-        while wall - readings[0][1] > _WINDOW and len(readings) > 1:
+        while wall - readings[0][1] > _PACE_WINDOW and len(readings) > 1:
             readings.popleft()
         if self._simulated:
             then, wall_then = readings[0]
             elapsed = wall - wall_then
-            self.pace = (now - then) / elapsed if elapsed >= _ENOUGH else None
+            self.pace = (now - then) / elapsed if elapsed >= _MIN_PACE_TIME else None
             self._known_pace = self.pace or self._known_pace
 
 
@@ -138,15 +139,21 @@ class MissedSamples:
 
     def __init__(self) -> None:
         self._last: tuple[float, int, int] | None = None
-        self._shares, self._spans = Recent(_INTERVALS), Recent(_INTERVALS)
+        self._shares, self._spans = Recent(_COUNTED_INTERVALS), Recent(_COUNTED_INTERVALS)
         self.share = 0.0
-        """Share of the instants missed lately; 0 unless they are `_MANY`, and begin with some in
-        each interval."""
+        """Share of the instants missed lately; 0 below `_REPORTED_SHARE`, and
+        until there are some in each interval."""
 
-    @property
-    def span(self) -> float:
-        """Wall time over which the share is taken [s]."""
-        return sum(self._spans)
+    def faults(self, period: float) -> list[Condition]:
+        """Return the fault of instants missed at a control period [s]; empty without."""
+        if not self.share:
+            return []
+        return [Condition(
+            Kind.MISSED_SAMPLES,
+            f"given {100.0 * self.share:.3g} % of the sampling instants of the last "
+            f"{sum(self._spans):.0f} s without a plan, at {1.0 / period:.4g} Hz, expected none; a "
+            "lower control_rate, thread_priority: 1 or a free processor core helps",
+        )]
 
     def read(self, wall: float, used: int, missed: int) -> None:
         """Take the numbers of instants with and without a plan so far, at wall time `wall` [s]."""
@@ -159,4 +166,4 @@ class MissedSamples:
             self._spans.append(wall - then)
         self._last = (wall, used, missed)
         lasts = bool(self.share) or (self._shares.is_full and self._shares.quantile(0.0) > 0.0)
-        self.share = self._shares.mean if lasts and self._shares.mean >= _MANY else 0.0
+        self.share = self._shares.mean if lasts and self._shares.mean >= _REPORTED_SHARE else 0.0

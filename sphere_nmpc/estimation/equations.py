@@ -35,7 +35,7 @@ from sphere_nmpc.estimation.posterior import (
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
-_EXPECTED = 10.0
+_PRIOR_ERRORS = 10.0
 """Number of errors that what was known of the noise's scale before weighs as much as."""
 _BLOCK = 2 * KNOT + COMMON
 _NEXT, _MEASURED = slice(KNOT, 2 * KNOT), slice(KNOT, KNOT + 5)
@@ -45,7 +45,7 @@ _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What older intervals tell of a knot and the common unknowns: a Gaussian near a point.
+    """What older intervals contribute on a knot and the common unknowns: a Gaussian near a point.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Prior:
     scale: float
 
     def blurred(self, factor: Vector) -> "Prior":
-        """Return it with a covariance F F^T more; `factor` F has shape (19, K)."""
+        """Return the prior with a covariance F F^T more; `factor` F has shape (19, K)."""
         columns = self.information @ factor
         inner = np.eye(factor.shape[1]) + factor.T @ columns
         gain = np.linalg.solve(inner, columns.T).T
@@ -79,7 +79,7 @@ class Prior:
     def forgetting(
         self, places: NDArray[np.intp], values: Vector, variances: Vector
     ) -> "Prior":
-        """Return it with some local unknowns, at `places`, that have other values and variances.
+        """Return the prior with other values and variances of some local unknowns, at `places`.
 
         What it knew of them is dropped, and with it what depended on them. Poses, the first five,
         are always kept.
@@ -150,7 +150,7 @@ class Linearisation:
         self._believe(prior, noise)
 
     def believing(self, prior: Prior, noise: PoseNoise) -> "Linearisation":
-        """Return it with another prior and another noise of the poses."""
+        """Return the equations with another prior and another noise of the poses."""
         other = copy(self)
         other._believe(prior, noise)
         return other
@@ -248,7 +248,7 @@ class NormalEquations:
             "kij,kj->ki", given.pose_weights, given.innovations
         )
         cost = hypothesis.cost(numbers) + given.cost
-        cost += _EXPECTED * (given.prior.scale / scale + float(np.log(scale)))
+        cost += _PRIOR_ERRORS * (given.prior.scale / scale + float(np.log(scale)))
         cost += float(np.sum(errors**2))
         cost += 2.0 * float(np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2))))
         cost += _squares(given.pose_weights, given.innovations)
@@ -314,8 +314,8 @@ class NormalEquations:
         """Return the scale of the noise that the errors after the step show, at least 1."""
         errors = self.whitened[:, POSE_ERROR]
         total = self._scale * float(np.sum(errors**2))
-        known = _EXPECTED * self._expected
-        return max(1.0, (total + known) / (errors.size + _EXPECTED))
+        known = _PRIOR_ERRORS * self._expected
+        return max(1.0, (total + known) / (errors.size + _PRIOR_ERRORS))
 
     def covariance(self) -> Vector:
         """Return that of the newest knot and the common unknowns, shape (19, 19)."""
@@ -327,7 +327,7 @@ class NormalEquations:
         return covariance
 
     def without_first(self, point: Point, hypothesis: Hypothesis) -> Prior:
-        """Return what the prior and the first interval tell of the knot at its end.
+        """Return what the prior and the first interval contribute on the knot at its end.
 
         `point` is the point of the equations, which have no other interval.
         """

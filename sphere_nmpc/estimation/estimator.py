@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
 from sphere_nmpc.estimation.pose_filter import (
@@ -19,24 +18,24 @@ from sphere_nmpc.estimation.pose_filter import (
     PoseFilter,
 )
 from sphere_nmpc.estimation.posterior import KNOT, Posterior, Scaling
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS, EstimatorSettings
 from sphere_nmpc.model.disturbance import Disturbance
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, NO_MOMENTUM, Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.worker.contract import Reply, Store, Worker
 from sphere_nmpc.worker.in_line import InLine
 
 _KEY = "estimator"
 _NAMES = ("shell_radius", " m"), ("c1", ""), ("r1", ""), ("r3", "")
-_OTHER = 0.2
+_MAX_DIFFERENCE = 0.2
 """Difference of a learnt constant from that given, relative to it, above which the robot is taken
 for another one [-]: what the prior expects of sizes and masses."""
-_DEVIATIONS = 3.0
-"""Standard deviations of a learnt constant that are not counted."""
 _MOST_PENDING = 4
 """Tasks that wait for the worker at most; where it is slower, intervals become longer."""
 
@@ -77,7 +76,7 @@ class Estimator:
         Noise of the poses, and whether constants and momentum are estimated.
     nominal : LumpedConstants
         Constants of the robot as built.
-    sent : SentInputs
+    sent : RotorHistory
         The rotor speeds sent.
     worker : Worker, optional
         Fits the moving horizon beside the control loop; by default it is fitted in line.
@@ -89,7 +88,7 @@ class Estimator:
         self,
         settings: ControllerSettings,
         nominal: LumpedConstants,
-        sent: SentInputs,
+        sent: RotorHistory,
         worker: Worker | None = None,
         acceleration: float = float("inf"),
     ) -> None:
@@ -138,15 +137,16 @@ class Estimator:
         """
         scaling = self._scaling
         given, learnt = scaling.nominal.as_array(), scaling.constants(self._result.common)
-        off = np.abs(learnt - given) / given - _DEVIATIONS * self._plant.deviations / given
+        off = np.abs(learnt - given) / given - EXPECTED_DEVIATIONS * self._plant.deviations / given
         worst = int(np.argmax(off))
-        if off[worst] < _OTHER:
+        if off[worst] < _MAX_DIFFERENCE:
             return None
         name, unit = _NAMES[worst]
         return Condition(
             Kind.OTHER_ROBOT, f"given {name} = {given[worst]:.3g}{unit}, and the motion shows "
-            f"{learnt[worst]:.3g}{unit}, expected at most {100.0 * _OTHER:.0f} % from it: was the "
-            "params_file with the robot given to all nodes, and do the rotors turn as commanded?",
+            f"{learnt[worst]:.3g}{unit}, expected at most {100.0 * _MAX_DIFFERENCE:.0f} % "
+            "from it: was the params_file with the robot given to all nodes, and do the rotors "
+            "turn as commanded?",
         )
 
     @property
@@ -226,7 +226,7 @@ class Estimator:
         deviations = np.sqrt(np.diag(result.covariance)[KNOT : KNOT + 4])
         declared = settings.pose_position_noise > 0.0 or settings.pose_orientation_noise > 0.0
         is_noisy = declared or any(result.pose_noise)
-        # Once the constants are known, more knots would tell no more of them.
+        # Once the constants are known, more knots would show no more of them.
         is_known = is_noisy or bool(np.max(deviations) < numbers.known)
         self._spacing = numbers.spacing if is_known else 0.5 * numbers.spacing
         learns = settings.learning
@@ -318,7 +318,7 @@ class Estimator:
     def _interval(self, since: float, within: list[MeasuredPose], end: MeasuredPose) -> Interval:
         """Return the interval from `since` [s] to a pose, with some of those within it."""
         numbers, used = self._numbers, [end]
-        # Poses in quick succession tell little more, and a long interval is to take no longer.
+        # Poses in quick succession add little, and a long interval is to take no longer.
         apart = numbers.pose_spacing * max(1.0, 0.5 * (end.time - since) / numbers.spacing)
         for one in reversed(within):
             if min(used[-1].time - one.time, one.time - since) > apart - SAME:

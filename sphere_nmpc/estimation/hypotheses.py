@@ -34,7 +34,7 @@ _NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
 """Noises beyond that given that are tried, of the poses [rad; over the radius in m] and of their
 stamps [s]."""
 
-_ACROSS = 0.25
+_MIN_TRANSVERSE_RATIO = 0.25
 """Effect of a late command in other directions than that of a short delay, over that [-]."""
 
 
@@ -90,7 +90,7 @@ class Hypothesis:
 
     @property
     def simpler(self) -> list["Hypothesis"]:
-        """Those without what was believed: momentum, slope and imbalance; all of it."""
+        """Hypotheses without what was believed: momentum, slope and imbalance; all of it."""
         torques = (Event.PUSHED, Event.TILTED)
         events = tuple(Event.NONE if event in torques else event for event in self.events)
         level = replace(self, events=events, disturbed=False, torques=False, unbalanced=False)
@@ -149,7 +149,7 @@ class Hypothesis:
 
     @property
     def _noises(self) -> list["Hypothesis"]:
-        """Those with other noises of the poses."""
+        """Hypotheses with other noises of the poses."""
         pose, time = self.pose_noise
         noises = [PoseNoise(one, time) for one in _NOISES]
         noises += [PoseNoise(pose, one) for one in _NOISES]
@@ -157,7 +157,7 @@ class Hypothesis:
 
     @property
     def gradual(self) -> list["Hypothesis"]:
-        """Those with what no single interval shows: another slope, noises of the poses."""
+        """Hypotheses of what no single interval shows: another slope, noises of the poses."""
         return [replace(self, torques=True), *self._noises]
 
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
@@ -220,7 +220,7 @@ def step_covariances(
             effect = numbers.late / numbers.lag * by[:, KNOT + LAG]
             covariances[k] += np.outer(effect, effect)
             # The motion is not linear in it.
-            across = _ACROSS * float(np.linalg.norm(effect[2:5]))
+            across = _MIN_TRANSVERSE_RATIO * float(np.linalg.norm(effect[2:5]))
             diagonals[k, POSE_ERROR] += scaling.pose_variance(across)
         spread = numbers.share_spread * by[:, KNOT + SHARE]
         covariances[k] += np.outer(spread, spread)

@@ -12,6 +12,14 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import quantity, validate
 
+GRAVITY_REMOVED = "gravity removed"
+_CONVENTIONS = (
+    (0.0, 0.8, GRAVITY_REMOVED), (0.8, 1.2, "in g"), (31.5, 32.9, "in ft/s^2"),
+    (950.0, 992.0, "in cm/s^2"), (992.0, 1050.0, "in mg"), (9.4e3, 1.02e4, "in mm/s^2"),
+    (18.6, 20.6, "gravity added twice"),
+    *((0.97 * counts, 1.03 * counts, "in raw counts") for counts in (2048, 4096, 8192, 16384)),
+)
+"""Norms of the specific force at rest from and to which it is given in another convention."""
 
 @dataclass(frozen=True)
 class ImuSettings:
@@ -103,3 +111,11 @@ class ImuSettings:
         """Matrix that takes vectors in the axes of the IMU to the body frame, shape (3, 3)."""
         quaternion = np.array(self.orientation)
         return rotation.matrix(quaternion / np.linalg.norm(quaternion))
+
+
+def convention_of(norm: float) -> str:
+    """Return in which other convention a specific force at rest is given, by its norm [m/s^2].
+
+    It is empty where the norm shows none.
+    """
+    return next((name for least, most, name in _CONVENTIONS if least <= norm < most), "")

@@ -39,12 +39,12 @@ from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 
-_ITERATIONS = 6
+_MAX_ITERATIONS = 6
 """Gauss-Newton iterations for each fit at most."""
-_STILL_LINEAR = 3e-3
+_LINEAR_RANGE = 3e-3
 """Change, in the scale of the unknowns, up to which a linearisation is kept; the iteration ends
 with a step below it."""
-_SAME_SCALE = 0.05
+_SCALE_TOLERANCE = 0.05
 """Relative accuracy of the noise's scale."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
 """A rotation by a small angle moves its quaternion half as far."""
@@ -134,7 +134,7 @@ class MovingHorizon:
         fit = self._with_other_drives(start, motions, fit, surprising)
         fit = self._improved(start, motions, fit, not (surprising or self._is_noisy))
         if surprising or fit.hypothesis.has_event(numbers.recent):
-            fit = self._believing_less(start, motions, fit)
+            fit = self._simplified(start, motions, fit)
         self._prior = self._prior_of(fit.hypothesis, fit.motions[0])
         self._point, self._motions = fit.point, fit.motions
         self._hypothesis, self._scale = replace(fit.hypothesis, renewed=False), fit.scale
@@ -194,7 +194,7 @@ class MovingHorizon:
         without: int | None = None,
     ) -> _Fit:
         """Return the fit of a hypothesis, from a point with intervals linearised near it."""
-        for iteration in range(_ITERATIONS):
+        for iteration in range(_MAX_ITERATIONS):
             motions = self._relinearised(point, motions)
             given = self._linearisation(point, motions, hypothesis, scale)
             equations = NormalEquations(given, hypothesis, scale, without)
@@ -202,8 +202,8 @@ class MovingHorizon:
             # At first the errors are those of the linearisation, too.
             if iteration > 0:
                 before, scale = scale, equations.next_scale()
-                same = abs(scale / before - 1.0) < _SAME_SCALE
-                if same and self._largest(equations.step) < _STILL_LINEAR:
+                same = abs(scale / before - 1.0) < _SCALE_TOLERANCE
+                if same and self._largest(equations.step) < _LINEAR_RANGE:
                     break
         return _Fit(point, motions, equations, scale, hypothesis)
 
@@ -226,7 +226,7 @@ class MovingHorizon:
         found = []
         for k, one in enumerate(motions):
             away = away_from(one, point, k)
-            if float(np.max(np.abs(away) / self._scaling.units)) > _STILL_LINEAR:
+            if float(np.max(np.abs(away) / self._scaling.units)) > _LINEAR_RANGE:
                 one = motion(one.interval, point.knots[k], point.common, self._scaling)
             found.append(one)
         return found
@@ -297,12 +297,12 @@ class MovingHorizon:
         """Return the common unknowns of the robot as built, shape (9,), with the lag of others."""
         return self._scaling.prior(self._scaling.lag(common))
 
-    def _believing_less(
+    def _simplified(
         self, start: Point, motions: list[Motion], fit: _Fit
     ) -> _Fit:
-        """Return the fit of a hypothesis with less that was believed, if it is more probable.
+        """Return the fit of a hypothesis with fewer assumptions, if it is more probable.
 
-        What no longer predicts the motion is given up.
+        Assumptions that no longer predict the motion are dropped.
         """
         best = fit
         for other in fit.hypothesis.simpler:
@@ -353,6 +353,6 @@ def _approximate(
     """Return the cost of a hypothesis without another linearisation."""
     equations = NormalEquations(given, hypothesis, scale, without)
     better = equations.next_scale()
-    if abs(better / scale - 1.0) > _SAME_SCALE:
+    if abs(better / scale - 1.0) > _SCALE_TOLERANCE:
         equations = NormalEquations(given, hypothesis, better, without)
     return equations.cost

@@ -51,6 +51,10 @@ class OdometrySettings:
     def __post_init__(self) -> None:
         validate(self)
 
+    def height_deviation(self, shell_radius: float) -> float:
+        """Return the standard deviation of the height of the centre [m]."""
+        return self.radius_deviation * shell_radius
+
 
 @dataclass(frozen=True)
 class OdometryNumbers:
@@ -62,7 +66,7 @@ class OdometryNumbers:
     silence: float = 0.2
     """Age of the newest reading at which a sensor counts as silent [s]."""
     remembered: float = 2.0
-    """Time for which a fault is told after it was last seen [s]."""
+    """Time for which a fault is reported after it was last seen [s]."""
 
     # Noises
     least_noises: tuple[float, float] = (3e-5, 1e-3)
@@ -113,7 +117,7 @@ class OdometryNumbers:
 
     def improbable(self, components: int) -> float:
         """Return the normalised square that 1 valid measurement in 7000 exceeds (chi-squared)."""
-        return _IMPROBABLE[components - 1]
+        return _IMPROBABLE_DISTANCES[components - 1]
 
     def is_lifted(self, height: float, slipping: int) -> bool:
         """Return whether the sphere is lifted, by `height` and `slipping` of a `Belief`."""
@@ -128,5 +132,5 @@ class OdometryNumbers:
         )
 
 
-_IMPROBABLE = (14.51, 17.76, 20.41, 22.79, 25.0)
-"""Of 1 to 5 components."""
+_IMPROBABLE_DISTANCES = (14.51, 17.76, 20.41, 22.79, 25.0)
+"""Normalised squares of 1 to 5 components that are improbable [-]."""

@@ -25,7 +25,7 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     with_block,
 )
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
@@ -36,10 +36,8 @@ from sphere_nmpc.model.error_state import (
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, POSE, STATE_SIZE, Vector
+from sphere_nmpc.reporting.stamps import SHORT_GAP
 from sphere_nmpc.solver.roll_out import propagate, roll_out
-
-SHORT_GAP = 0.1
-"""Share of the mean spacing of poses [-] below which two are of a bunch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +90,7 @@ class MeasuredPose:
     time: float
     pose: Vector
     belief: Belief | None = None
-    """What this pose and those before it tell; None as long as that has not been asked for."""
+    """Belief by this pose and those before it; None as long as that has not been asked for."""
     is_outlier: bool = False
     """Whether it was left out as improbable."""
 
@@ -110,7 +108,7 @@ class PoseFilter:
     at least the spacing apart that poses within an interval have.
     """
 
-    def __init__(self, sent: SentInputs, scaling: Scaling) -> None:
+    def __init__(self, sent: RotorHistory, scaling: Scaling) -> None:
         self._sent, self._scaling = sent, scaling
         self.poses: list[MeasuredPose] = []
         """Poses in the order of their times, since the anchor or the first one after a gap."""
@@ -192,7 +190,7 @@ class PoseFilter:
         """Return how far a pose is from its prediction by rotor speeds from an earlier one.
 
         That is the normalised square of the innovation; the speeds are given as in
-        `SentInputs.pieces`.
+        `RotorHistory.pieces`.
         """
         state, scaling = np.concatenate((start.pose, self._anchor.state[MOMENTUM])), self._scaling
         given = durations, self._constants, self._max_step, self.disturbance
@@ -217,13 +215,13 @@ class PoseFilter:
         last.belief = belief = last.belief or self._began_at(last)
         if self.is_noisy:
             for one in poses[known + 1 :]:
-                # Where poses are fused again, those in quick succession tell little more.
+                # Where poses are fused again, those in quick succession add little.
                 apart = one.time - last.time > self._scaling.numbers.pose_spacing - SAME
                 if apart or one.time > self._fused_until or one is newest:
                     one.belief = belief = self._fused(belief, last.time, one)
                     last = one
         elif last is not newest:
-            # Exact poses before the newest tell nothing more.
+            # Exact poses before the newest add nothing.
             if self.disturbance is not UNDISTURBED:
                 belief = self._moved(belief, last.time - self._lag, newest.time - self._lag)
             state = np.concatenate((newest.pose, belief.state[MOMENTUM]))
@@ -231,7 +229,7 @@ class PoseFilter:
         return belief
 
     def _began_at(self, first: MeasuredPose) -> Belief:
-        """Return the belief at the first pose: its own, with what the anchor tells of the rest."""
+        """Return the belief at the first pose: its own, with what the anchor adds for the rest."""
         state = np.concatenate((first.pose, self._anchor.state[MOMENTUM]))
         measured = self._measured(state, first.time)
         return Belief(state, with_block(self._anchor.covariance, POSE_ERROR, measured))

@@ -253,14 +253,14 @@ class Posterior:
         return UNDISTURBED if self.undisturbed else disturbance_of(self.knot, self.common)
 
     def with_lag(self, lag: float, scaling: Scaling) -> "Posterior":
-        """Return it with the prior of another lag [s] in place of its estimate."""
+        """Return the posterior with the prior of another lag [s] in place of its estimate."""
         common, variance = self.common.copy(), scaling.deviations[LAG] ** 2
         common[LAG] = scaling.prior(lag)[LAG]
         at = slice(KNOT + LAG, KNOT + LAG + 1)
         return replace(self, common=common, covariance=with_block(self.covariance, at, variance))
 
     def without_disturbance(self, numbers: EstimatorSettings) -> "Posterior":
-        """Return it with zero momentum, slope and imbalance."""
+        """Return the posterior with zero momentum, slope and imbalance."""
         knot, common = self.knot.copy(), self.common.copy()
         knot[MOMENTUM.start :] = 0.0
         common[IMBALANCE] = 0.0
@@ -272,14 +272,14 @@ class Posterior:
         )
 
     def with_unknown_momentum(self, numbers: EstimatorSettings) -> "Posterior":
-        """Return it with more variance of momentum and slope, whatever they are."""
+        """Return the posterior with more variance of momentum and slope, whatever they are."""
         covariance = self.covariance.copy()
         covariance[MOMENTUM_ERROR, MOMENTUM_ERROR] += np.eye(3) * numbers.push**2
         covariance[SLOPE_ERROR, SLOPE_ERROR] += np.eye(2) * numbers.tilt**2
         return replace(self, covariance=covariance, undisturbed=False)
 
     def at_pose(self, time: float, pose: Vector, variance: Vector) -> "Posterior":
-        """Return it at a pose, shape (6,), measured with a variance, shape (5,), after a gap.
+        """Return the posterior at a pose, (6,), measured with a variance, (5,), after a gap.
 
         What happened to the momentum in between is not known, if there is any.
         """

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
-from sphere_nmpc.foreign_code import foreign_error
+from sphere_nmpc.foreign.code import foreign_error
 
 G = TypeVar("G")
 G_co = TypeVar("G_co", covariant=True)

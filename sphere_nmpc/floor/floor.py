@@ -17,18 +17,18 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.channel import SharedMemory
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.channel import SharedMemory
 
 _CELL = 1.0 / 24.0
 """Largest side of a cell [Rs] to which a map is refined: in the middle of it the bound is below
 the distance by up to 0.2 of the side along a wall, and by 0.7 near a corner."""
 MOST_FINE = 4_000_000
 """Cells that a floor is made of, or that a map is refined to, at most."""
-_REACH = 4.0
-"""Distance up to which it is told exactly [needed one]."""
-_CACHED = 16_384
+_EXACT_RANGE = 4.0
+"""Distance up to which it is computed exactly [needed one]."""
+_CACHED_CELLS = 16_384
 """Cells whose numbers fit into the cache of a processor core."""
 T = TypeVar("T")
 
@@ -254,7 +254,7 @@ def kept_with_floor(most: int) -> Callable[[Callable[..., T]], Callable[..., T]]
 
 @kept_with_floor(1)  # of a goal the same at nearly every sample
 def _distance(floor: Floor, x: float, y: float) -> float:
-    return exact_distance(floor.grid, np.array((x, y)), _REACH * floor.needed)
+    return exact_distance(floor.grid, np.array((x, y)), _EXACT_RANGE * floor.needed)
 
 
 @kept_with_floor(2)  # of a goal and of one on the way there
@@ -289,7 +289,7 @@ def corner_distances(grid: Grid) -> NDArray[np.float32]:
     rows, columns = (np.arange(size, dtype=j.dtype) for size in touched.shape)
     # A few rows at a time: arrays of the whole map are not in the cache, and take several times
     # as long.
-    step = max(1, _CACHED // columns.size)
+    step = max(1, _CACHED_CELLS // columns.size)
     for first in range(0, rows.size, step):
         some = slice(first, first + step)
         away = (i[some] - rows[some, None]).astype(np.float32)

@@ -14,13 +14,13 @@ from sphere_nmpc.model.state import Vector
 
 MOST_AREAS = 1000
 """Areas to keep out of; on a new map it takes about a second to enter all of them."""
-_AROUND = 84.0
+_FREE_MARGIN = 84.0
 """Free floor around areas to keep out of, where neither a map nor an edge says how far it goes
 [Rs]: 25 m for the robot of the paper."""
-_ROUNDED = 17.0
+_BOUNDS_STEP = 17.0
 """What the bounds of the free floor around areas are rounded to [Rs], so that an area that moves
 mostly leaves them as they are."""
-_COARSEST = 0.25
+_MAX_CELL = 0.25
 """Largest side of a cell of a floor without a map [Rs]: in larger ones the bounds of the distances
 are too far below them for a sphere to pass between obstacles."""
 
@@ -121,7 +121,7 @@ def _is_same(one: object, other: object) -> bool:
 
 def _around(places: Vector, radius: float) -> tuple[float, ...]:
     """Return the bounds of a free floor around places: least x and y, and largest [m]."""
-    around, rounded = _AROUND * radius, _ROUNDED * radius
+    around, rounded = _FREE_MARGIN * radius, _BOUNDS_STEP * radius
     low = np.floor((places.min(axis=0) - around) / rounded) * rounded
     high = np.ceil((places.max(axis=0) + around) / rounded) * rounded
     return (*low.tolist(), *high.tolist())
@@ -130,7 +130,7 @@ def _around(places: Vector, radius: float) -> tuple[float, ...]:
 def _free(name: str, bounds: tuple[float, ...], radius: float) -> Grid:
     """Return a grid of free cells within bounds: least x and y, and largest [m]."""
     x, y, *most = (float(value) for value in bounds)
-    size, coarsest = (most[0] - x, most[1] - y), _COARSEST * radius
+    size, coarsest = (most[0] - x, most[1] - y), _MAX_CELL * radius
     # With a cell more on each side, as also a narrow floor has whole ones.
     whole = (size[0] + coarsest) * (size[1] + coarsest)
     cell = max(finest_cell(radius), math.sqrt(whole / MOST_FINE))

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphere_nmpc.errors import shown
 from sphere_nmpc.floor.occupancy import (
     MOST_CELLS,
     Grid,
@@ -19,16 +20,15 @@ from sphere_nmpc.floor.occupancy import (
     check_geometry,
     grid_of_values,
 )
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file, yaml_texts
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.foreign.file import InvalidFileError, find_file, read_file, yaml_texts
 
-_MOST_TEXT = 16_384
+_MAX_TEXT_BYTES = 16_384
 """Bytes of the YAML file, which mostly has 150."""
-_DEEPEST = 2
+_MAX_DEPTH = 2
 """Levels of its lists: the origin is one in a mapping."""
-_MOST_IMAGE = 2 * MOST_CELLS + _MOST_TEXT
+_MOST_IMAGE = 2 * MOST_CELLS + _MAX_TEXT_BYTES
 """Bytes of the image: two for a pixel, which are as many as an uncompressed file has."""
-_MOST_PLAIN = 20_000_000
+_MAX_PLAIN_BYTES = 20_000_000
 """Bytes of an image in decimal numbers, with which its decoder takes up to 5 s."""
 _PLAIN = (b"P1", b"P2", b"P3")
 _MAGIC = (*_PLAIN, b"P4", b"P5", b"P6", b"\x89PNG")
@@ -105,7 +105,7 @@ def read_map(path: Path) -> MapValues:
 
 
 def _read(name: str, path: Path) -> MapValues:
-    entries = _entries(name, read_file(path, _MOST_TEXT))
+    entries = _entries(name, read_file(path, _MAX_TEXT_BYTES))
     given = entries.get("mode", "trinary")
     mode = given.lower() if isinstance(given, str) else ""
     if mode not in _MODES:
@@ -174,10 +174,10 @@ def _pixels(
         content = read_file(image, _MOST_IMAGE)
         if not content.startswith(_MAGIC):
             raise InvalidMapError(name, f"image {image}: {shown(content[:8])}", _FORMATS)
-        if content.startswith(_PLAIN) and len(content) > _MOST_PLAIN:
+        if content.startswith(_PLAIN) and len(content) > _MAX_PLAIN_BYTES:
             raise InvalidMapError(
                 name, f"an image of {len(content)} bytes in decimal numbers",
-                f"at most {_MOST_PLAIN}; a binary one (P5) is smaller",
+                f"at most {_MAX_PLAIN_BYTES}; a binary one (P5) is smaller",
             )
         with Image.open(io.BytesIO(content), formats=("PPM", "PNG")) as opened:
             check(*opened.size)
@@ -205,7 +205,7 @@ def _pixels(
 
 def _entries(name: str, text: bytes) -> dict[str, _Entry]:
     """Return the entries as texts, whose types are not those of YAML but what each has to be."""
-    found = yaml_texts(text, _DEEPEST)
+    found = yaml_texts(text, _MAX_DEPTH)
     if not isinstance(found, dict) or not found:
         raise InvalidMapError(name, shown(text), "a mapping with image, resolution ...")
     return found

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.model.state import FARTHEST, Vector
 from sphere_nmpc.quantity import counted
 
@@ -22,13 +21,13 @@ MOST_CELLS = 10**8
 """Cells of the largest map that is accepted."""
 MOST_CORNERS = 5000
 """Corners of a polygon, with which the check of pairs of its edges takes up to five seconds."""
-_FINEST = 1e-4
+_MIN_CELL = 1e-4
 """Smallest side of a cell [m]: a twelfth of that which a sphere of 3 cm needs."""
-_MOST_TILT = 1e-3
+_MAX_TILT = 1e-3
 """Largest roll and pitch of a map's origin [rad]."""
-_BLOCK = 1_000_000
+_BLOCK_SIZE = 1_000_000
 """Cells, or pairs of edges, that are computed together, which take some 100 MB."""
-_REACH = math.sqrt(0.5)
+_HALF_WIDTH = math.sqrt(0.5)
 """Distance of an edge from the centre of a cell up to which it counts as touched [cells]."""
 
 Cells = NDArray[np.bool_]
@@ -99,10 +98,6 @@ class Grid:
         finer = np.repeat(np.repeat(self.occupied, factor, axis=0), factor, axis=1)
         return Grid(finer, self.resolution / factor, self.origin)
 
-    def with_obstacle(self, polygon: Vector) -> "Grid":
-        """Return the grid with the cells occupied that a polygon, shape (K, 2) [m], touches."""
-        return self.with_runs([touched_runs(self, polygon)])
-
     def within(self, polygon: Vector) -> "Grid":
         """Return the grid with the cells occupied that are not wholly inside a polygon [m]."""
         edge, inside = _runs_of(self, polygon)
@@ -131,12 +126,12 @@ def _runs_of(grid: Grid, polygon: Vector) -> tuple[Runs, Runs]:
     begin = grid.local(polygon)
     end = np.roll(begin, -1, axis=0)
     low, high = np.minimum(begin, end)[:, 1], np.maximum(begin, end)[:, 1]
-    first = np.clip(np.ceil(low - _REACH - 0.5), 0, height).astype(np.int64)
-    last = np.clip(np.floor(high + _REACH + 0.5), 0, height).astype(np.int64)
+    first = np.clip(np.ceil(low - _HALF_WIDTH - 0.5), 0, height).astype(np.int64)
+    last = np.clip(np.floor(high + _HALF_WIDTH + 0.5), 0, height).astype(np.int64)
     edge: Runs = np.empty((0, 2), np.int64)
     inside = edge
     # All edges in some rows at a time, so that a row has all its crossings.
-    step = max(1, _BLOCK // len(polygon))
+    step = max(1, _BLOCK_SIZE // len(polygon))
     for row in range(int(first.min()), int(last.max()), step):
         found = _runs_of_rows(begin, end, first.clip(row), last.clip(None, row + step), width)
         edge, inside = np.concatenate((edge, found[0])), np.concatenate((inside, found[1]))
@@ -155,14 +150,14 @@ def _runs_of_rows(
     # Places within reach of an edge are a convex set: in a row an interval, each end of which is
     # at the distance `sqrt(reach^2 - v^2)` from a place t on the edge that is v below or above.
     with np.errstate(divide="ignore", invalid="ignore"):
-        span = np.sort(np.stack(((away - _REACH) / dy, (away + _REACH) / dy)), axis=0)
-        tangent = _REACH * dx / np.hypot(dx, dy) * np.sign(dy)
+        span = np.sort(np.stack(((away - _HALF_WIDTH) / dy, (away + _HALF_WIDTH) / dy)), axis=0)
+        tangent = _HALF_WIDTH * dx / np.hypot(dx, dy) * np.sign(dy)
         tangents = np.stack(((away - tangent) / dy, (away + tangent) / dy))
     level = dy == 0.0
     span[:, level] = [[0.0], [1.0]]
     tangents[:, level] = np.where(dx[level] > 0.0, [[0.0], [1.0]], [[1.0], [0.0]])
     t = np.clip(tangents, *np.clip(span, 0.0, 1.0))
-    aside = np.sqrt(np.maximum(0.0, _REACH**2 - (away - t * dy) ** 2))
+    aside = np.sqrt(np.maximum(0.0, _HALF_WIDTH**2 - (away - t * dy) ** 2))
     left, right = x0 + t * dx + aside * [[-1.0], [1.0]]
     # The rows whose centre line an edge crosses: between two crossings cells are inside.
     # As corners are compared, not differences, edges that meet agree on where they do.
@@ -262,9 +257,9 @@ def check_geometry(
     if width < 1 or height < 1 or width * height > MOST_CELLS:
         raise InvalidMapError(name, f"{width} x {height} cells", f"1 to {MOST_CELLS} cells")
     # Messages have it in single precision.
-    if not (math.isfinite(resolution) and resolution >= float(np.float32(_FINEST))):
+    if not (math.isfinite(resolution) and resolution >= float(np.float32(_MIN_CELL))):
         raise InvalidMapError(
-            name, f"a resolution of {resolution:g} m", f"a positive number, {_FINEST:g} or more"
+            name, f"a resolution of {resolution:g} m", f"a positive number, {_MIN_CELL:g} or more"
         )
     x, y, _, *quaternion = (float(value) for value in origin)
     if not all(map(math.isfinite, (x, y, *quaternion))):
@@ -273,7 +268,7 @@ def check_geometry(
     yaw = 0.0
     if norm >= 1e-6:  # otherwise as of a message that was not filled in
         qx, qy, qz, qw = (value / norm for value in quaternion)
-        if 2.0 * math.hypot(qx, qy) > _MOST_TILT:
+        if 2.0 * math.hypot(qx, qy) > _MAX_TILT:
             raise InvalidMapError(name, "an origin with roll or pitch", "a heading alone")
         yaw = 2.0 * math.atan2(qz, qw)
     c, s = math.cos(yaw) * resolution, math.sin(yaw) * resolution
@@ -325,7 +320,7 @@ def _first_crossing(begin: Vector, end: Vector) -> tuple[int, int] | None:
     below = np.cumsum(counts)
     first = 0
     while first < len(order):
-        last = max(first + 1, int(np.searchsorted(below, below[first] + _BLOCK)))
+        last = max(first + 1, int(np.searchsorted(below, below[first] + _BLOCK_SIZE)))
         some = counts[first:last]
         at = np.repeat(np.arange(first, last), some)
         other = np.arange(at.size) - np.repeat(np.cumsum(some) - some, some) + at + 1

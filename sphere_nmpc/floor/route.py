@@ -22,20 +22,20 @@ _SPACING = 2.0 * finest_cell(1.0)
 """Spacing of the nodes [Rs], unless there would be more than `_MOST_NODES`."""
 _MOST_NODES = MOST_FINE * (finest_cell(1.0) / _SPACING) ** 2
 """Nodes on a floor at most: those of one of `MOST_FINE` cells."""
-_ROOM = 0.5
+_ROOM_WITHOUT_COST = 0.5
 """Clearance beyond the needed one [Rs] below which a unit of the way costs more."""
-_NARROW = 1.0
+_NARROW_COST = 1.0
 """Share by which a unit of the way costs more where there is no more than the needed clearance:
 the sphere needs longer there."""
-_SURE = 0.015
+_MIN_SURE_ROOM = 0.015
 """Clearance beyond the needed one [Rs] without which it is not sure that the sphere gets
 through."""
-_UNSURE = 40.0
+_UNSURE_COST = 40.0
 """Cost of a unit of the way where it is not sure that the sphere gets through [-]: another way is
 taken, unless it is that much longer."""
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1))
 """Half of the neighbours of a node; the others are opposite."""
-_KEPT = 2
+_MAX_WAYS = 2
 """Goals whose ways are kept."""
 
 
@@ -128,7 +128,7 @@ def route_to(floor: Floor, goal: Vector, needed: float = 0.0) -> Route | Straigh
     return _route_to(floor, *goal.tolist(), floor.needed + side * cells)
 
 
-@kept_with_floor(_KEPT)
+@kept_with_floor(_MAX_WAYS)
 def _route_to(floor: Floor, x: float, y: float, needed: float) -> Route:
     goal: Vector = np.array((x, y))
     fine = floor.fine
@@ -137,9 +137,9 @@ def _route_to(floor: Floor, x: float, y: float, needed: float) -> Route:
         stride += 1
     distances = floor.corner_distances[::stride, ::stride]
     spacing = stride * fine.resolution
-    room = (distances - needed) / (_ROOM * floor.radius)
-    cost = spacing * (1.0 + _NARROW * np.clip(1.0 - room, 0.0, 1.0)).astype(np.float32)
-    cost[distances < needed + _SURE * floor.radius] *= _UNSURE
+    room = (distances - needed) / (_ROOM_WITHOUT_COST * floor.radius)
+    cost = spacing * (1.0 + _NARROW_COST * np.clip(1.0 - room, 0.0, 1.0)).astype(np.float32)
+    cost[distances < needed + _MIN_SURE_ROOM * floor.radius] *= _UNSURE_COST
     cost[distances < needed - np.sqrt(0.5) * spacing] = np.inf
     rows, columns = cost.shape
     column, row = np.rint(fine.local(goal) / stride).astype(int)

@@ -21,7 +21,7 @@ class LegEnd(Enum):
     REST = "rest"
     """The sphere comes to rest there."""
     THROUGH = "through"
-    """It goes on before it is there; only where that fails does it rest."""
+    """The sphere goes on before it is there; only where that fails does it rest."""
 
 
 @dataclass(frozen=True, eq=False)

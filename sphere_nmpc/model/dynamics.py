@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Equations of motion in CasADi expressions: the only definition of the controller's model.
+"""Equations of motion in CasADi expressions, from which the compiled model is generated.
 
 The paper conserves the angular momentum about the contact point, zero from rest on (Eq. 11). With
 the body's inertia about that point in world axes, z that of the body and e3 the vertical, this is

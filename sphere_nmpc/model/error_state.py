@@ -16,9 +16,11 @@ from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, STATE_SIZE, 
 
 ERROR_SIZE = STATE_SIZE - 1
 """Size of the error of a state: a rotation vector has a number less than a quaternion."""
-
-
-_ROUNDING = 1e-6
+EXPECTED_DEVIATIONS = 3.0
+"""Standard deviations up to which an error is expected [-]."""
+SIGNIFICANT_DEVIATIONS = 4.0
+"""Standard deviations from which on what is measured is no noise [-]."""
+_ROUNDING_SHARE = 1e-6
 """Asymmetry and negative eigenvalues of a given covariance that count as rounding, over its
 largest variance [-]."""
 
@@ -87,7 +89,7 @@ def error_covariance(pose: Vector, given: Vector) -> Vector | None:
     """
     if not given.any():
         return None
-    allowed = _ROUNDING * np.max(np.abs(np.diag(given)))
+    allowed = _ROUNDING_SHARE * np.max(np.abs(np.diag(given)))
     if np.isfinite(given).all():
         half = 0.5 * given  # sums of the largest numbers would overflow
         symmetric = half + half.T

@@ -21,7 +21,7 @@ FASTEST = 1e6
 SHORTEST = 1e-6
 """Shortest interval between two knots of a command [s]: a thousand times the resolution of a
 stamp."""
-_STEP = 0.02
+_STOP_SPACING = 0.02
 """Spacing of the knots of a stop [s]: between them it leaves the path by less than 0.4 mm."""
 _SHARE = 1.0 - 1e-8
 """Share of the limit that is used, as what exceeds it by rounding would have to be made up for."""
@@ -245,13 +245,13 @@ def _slowed(hold: FirstOrderHold, limit: float) -> FirstOrderHold:
         (x, y), (next_x, next_y) = rows[i - 1], rows[i]
         return x + share * (next_x - x), y + share * (next_y - y)
 
-    reach, place, pace = limit * _STEP, hold.start, 1.0
+    reach, place, pace = limit * _STOP_SPACING, hold.start, 1.0
     first, second = rows[0]
     knots = [(first, second)]
     while (first or second) and place < hold.end:
         # A lower pace leads to a place between these two.
-        x, y = planned(place + 0.5 * pace * _STEP)
-        next_x, next_y = planned(place + pace * _STEP)
+        x, y = planned(place + 0.5 * pace * _STOP_SPACING)
+        next_x, next_y = planned(place + pace * _STOP_SPACING)
         slower = max(
             _slowest(first, x, (next_x - x) / pace, reach),
             _slowest(second, y, (next_y - y) / pace, reach),
@@ -259,11 +259,11 @@ def _slowed(hold: FirstOrderHold, limit: float) -> FirstOrderHold:
         if slower == 0.0:
             break
         slower = min(slower, pace)
-        place, pace = place + 0.5 * (pace + slower) * _STEP, slower
+        place, pace = place + 0.5 * (pace + slower) * _STOP_SPACING, slower
         x, y = planned(place)
         first, second = pace * x, pace * y
         knots.append((first, second))
-    spaced: Vector = hold.start + _STEP * np.arange(len(knots), dtype=np.float64)
+    spaced: Vector = hold.start + _STOP_SPACING * np.arange(len(knots), dtype=np.float64)
     return FirstOrderHold(spaced, np.array(knots)).limited(math.inf, limit)
 
 

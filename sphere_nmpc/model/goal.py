@@ -61,7 +61,7 @@ class Orientation(Enum):
             turns = rotation.products(turns, rotation.conjugate(pose[QUATERNION]))
             turns[1:3] = 0.0
             lengths = np.linalg.norm(turns, axis=0)
-            turns[:, lengths < _OPPOSITE] = [[1.0], [0.0], [0.0], [0.0]]
+            turns[:, lengths < _UPSIDE_DOWN_COSINE] = [[1.0], [0.0], [0.0], [0.0]]
             turns = rotation.products(turns / np.linalg.norm(turns, axis=0), pose[QUATERNION])
         members[:, QUATERNION] = turns.T
         return members
@@ -91,7 +91,7 @@ class Orientation(Enum):
             between = rotation.product(quaternion, rotation.conjugate(pose[QUATERNION]))
             turn = between * (1.0, 0.0, 0.0, 1.0)
             length = float(np.linalg.norm(turn))
-            if length < _OPPOSITE:
+            if length < _UPSIDE_DOWN_COSINE:
                 return pose
             quaternion = rotation.product(turn / length, pose[QUATERNION])
         return np.concatenate((pose[POSITION], quaternion))
@@ -107,7 +107,7 @@ _REMARKS = {
     Orientation.ANY_HEADING: "any heading",
     Orientation.ANY: "position only",
 }
-_OPPOSITE = 1e-9
+_UPSIDE_DOWN_COSINE = 1e-9
 """Cosine of half the tilt [-] below which the body is upside down, and all headings as near."""
 
 

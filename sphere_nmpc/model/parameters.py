@@ -11,7 +11,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.quantity import quantity, validate
 
 _INERTIAS = "axial_inertia", "transverse_inertia", "inertia"
-_INEXACT = 1.5
+_THIN_DISC_FACTOR = 1.5
 """Factor on the ratio of inertias of a thin disc, which the rotors of Table 1 are: both may be off
 by 20 %."""
 
@@ -124,7 +124,7 @@ class RobotParameters:
                 )
         if len(names) > 1:
             axial, across = (getattr(self, name) for name in names[:2])
-            if axial > 2.0 * _INEXACT * across:
+            if axial > 2.0 * _THIN_DISC_FACTOR * across:
                 raise InvalidParameterError(
                     names[0], axial,
                     f"at most twice {names[1]} = {across:.3g} kg m^2, as of a thin disc, and half "

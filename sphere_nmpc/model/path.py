@@ -20,16 +20,16 @@ from sphere_nmpc.model.state import Vector
 
 _SPACING = 1.0 / 60.0
 """Spacing of the curve [Rs]."""
-_FINE = 0.25
+_MAX_SPACING_RATIO = 0.25
 """The same over the tolerance at most: the mean cuts a corner by up to 2.3 times the spacing."""
-_MEAN = 4
+_HALF_WINDOW = 4
 """Places of the curve over which its mean is taken, to either side."""
-_CUT = 0.4
+_CORNER_SHARE = 0.4
 """Share of the tolerance by which a corner is cut: the rest is for what follows the path."""
 _CUSP = math.radians(135.0)
 """Turn [rad] from which on a corner is the end of one path and the start of another: a sphere that
 goes back rests in between."""
-_MOST_PLACES = 500_000
+_MAX_PLACES = 500_000
 """Places of a curve at most: 2.5 km for Table 1 and a tolerance of 2 cm."""
 
 
@@ -96,7 +96,7 @@ class Path:
         InvalidStateError
             If it is too long.
         """
-        spacing = min(_SPACING * radius, _FINE * tolerance)
+        spacing = min(_SPACING * radius, _MAX_SPACING_RATIO * tolerance)
         return tuple(
             cls(*_curve_of(part, spacing, tolerance), tolerance)
             for part in _without_cusps(places, 1e-3 * spacing)
@@ -112,7 +112,7 @@ class Path:
 
     @cached_property
     def length(self) -> float:
-        """Its length [m]."""
+        """Length of the path [m]."""
         return self.spacing * (len(self.curve) - 1)
 
     def at(self, way: float) -> Vector:
@@ -166,14 +166,14 @@ def _curve_of(nodes: Vector, spacing: float, tolerance: float) -> tuple[Vector, 
     sides = np.diff(nodes, axis=0)
     lengths = np.linalg.norm(sides, axis=1)
     total = float(np.sum(lengths))
-    if not total < _MOST_PLACES * spacing:
-        raise InvalidStateError("length of the path", total, f"at most {_MOST_PLACES * spacing:g}")
+    if not total < _MAX_PLACES * spacing:
+        raise InvalidStateError("length of the path", total, f"at most {_MAX_PLACES * spacing:g}")
     ahead = sides / lengths[:, None]
     pieces = [nodes[:1]]
     for k in range(1, len(nodes) - 1):
         bend = 0.5 * float(np.linalg.norm(ahead[k] - ahead[k - 1]))
         # The middle of the parabola is half of the reach times the sine of half the turn away.
-        cut = 2.0 * _CUT * tolerance / max(bend, 1e-9)
+        cut = 2.0 * _CORNER_SHARE * tolerance / max(bend, 1e-9)
         reach = min(0.5 * lengths[k - 1], 0.5 * lengths[k], cut)
         along = np.linspace(0.0, 1.0, max(3, math.ceil(4.0 * reach / spacing)))[:, None]
         begin, end = nodes[k] - reach * ahead[k - 1], nodes[k] + reach * ahead[k]
@@ -198,7 +198,7 @@ def _by_length(nodes: Vector, spacing: float) -> Vector:
 
 def _mean(places: Vector) -> Vector:
     """Return running means of places, (K, 2): both ends, and straight lines, stay as they are."""
-    reach = min(_MEAN, len(places) - 1)
+    reach = min(_HALF_WINDOW, len(places) - 1)
     before = 2.0 * places[0] - places[reach:0:-1]
     after = 2.0 * places[-1] - places[-2 : -2 - reach : -1]
     sums = np.cumsum(np.vstack((np.zeros((1, 2)), before, places, after)), axis=0)

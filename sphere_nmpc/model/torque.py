@@ -34,11 +34,11 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
 
-_ORIENTATIONS = 500
+_DIRECTIONS = 500
 """Directions of the vertical in the search; the maxima are flat, 400 give them within 1 %."""
 _MARGIN = 1.01
 """Factor on the largest values found."""
-_EDGE = 21
+_SPEEDS_ON_EDGE = 21
 """Rotor speeds in the search on each edge of the square |u_i| <= u_max."""
 
 
@@ -101,13 +101,13 @@ def within_torque(robot: RobotParameters) -> RobotParameters:
 def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tuple[float, float]:
     """Return s [-] and w / u_max^2 [-] of the bound in the module's docstring."""
     p = np.array([1.0, input_gain, transverse_ratio, axial_ratio])
-    verticals = _directions(_ORIENTATIONS)
-    still = np.zeros((_ORIENTATIONS, INPUT_SIZE))
+    verticals = _directions(_DIRECTIONS)
+    still = np.zeros((_DIRECTIONS, INPUT_SIZE))
     gains = [np.abs(rotor_acceleration(verticals, still, still + du, p)) for du in np.eye(2)]
-    along = np.linspace(-1.0, 1.0, _EDGE)
+    along = np.linspace(-1.0, 1.0, _SPEEDS_ON_EDGE)
     # Quadratic in the speeds, it is largest on the edges of the square; opposite edges agree.
-    edges = np.vstack([np.column_stack((np.ones(_EDGE), along)),
-                       np.column_stack((along, np.ones(_EDGE)))])
+    edges = np.vstack([np.column_stack((np.ones(_SPEEDS_ON_EDGE), along)),
+                       np.column_stack((along, np.ones(_SPEEDS_ON_EDGE)))])
     turning = [np.abs(rotor_acceleration(verticals, still + u, still, p)).max() for u in edges]
     return _MARGIN * float(np.max(sum(gains))), _MARGIN * float(np.max(turning))
 

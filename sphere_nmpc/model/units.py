@@ -19,7 +19,7 @@ _TABLE_1 = RobotParameters()
 DEFAULT_MAX_STEP = 0.1
 """Longest integration step of Table 1's robot [s]; error of a 0.5 s interval about 1.5e-4 at the
 99th percentile."""
-_LONGEST_RAMP = 4.0
+_MAX_RAMP = 4.0
 """Ramp to the largest speed that is planned with, over that of Table 1's robot in units of each.
 One of two sample periods of the paper still leads up and down again within the horizon; with ramps
 of 27 and 31 `plan_keeping` missed goals and took up to twice as long."""
@@ -51,8 +51,8 @@ class RobotUnits:
         limits = within_torque(robot)
         acceleration = limits.max_rotor_acceleration / _TABLE_1.max_rotor_acceleration
         ramp = speed / acceleration * gain * speed
-        if ramp > _LONGEST_RAMP:
-            speed *= math.sqrt(_LONGEST_RAMP / ramp)
+        if ramp > _MAX_RAMP:
+            speed *= math.sqrt(_MAX_RAMP / ramp)
         return cls(robot.shell_radius / _TABLE_1.shell_radius, 1.0 / (gain * speed), speed)
 
     @property

@@ -1,14 +1,15 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages in their serialised form (CDR), from and to arrays and stamps, without ROS.
+"""Messages in their serialised form (CDR) as arrays and stamps, without ROS.
 
 Stamps are whole nanoseconds, so that they compare exactly; control times are seconds since
-`epoch`, a stamp [ns] that is 0 in simulated time. wxyz becomes xyzw here and in `messages` only.
+`epoch`, a stamp [ns] that is 0 in simulated time. wxyz becomes xyzw here, in `cdr_messages` and in
+`messages` only.
 
 Nodes read and write what passes at up to 2000 Hz in this form, as rclpy makes message objects
-field by field: with objects a pose or a trajectory of ten knots takes ten times as long to write.
+field by field: with objects a pose or a trajectory of ten knots takes ten times as long.
 Recordings are read in the same way. `read` reads a message of any machine as the record of its
-type, with its fields as they are, unchecked.
+type, with its fields as they are, unchecked; `cdr_messages` makes messages.
 
 What cannot be read raises an `InvalidInputError`, a pose that cannot be used an
 `InvalidStateError`.
@@ -16,17 +17,15 @@ What cannot be read raises an `InvalidInputError`, a pose that cannot be used an
 
 import struct
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
-from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.state import Vector, make_state, upright_state
+from sphere_nmpc.model.state import Vector, make_state
 from sphere_nmpc.quantity import NANOSECONDS
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
@@ -36,14 +35,14 @@ LARGEST_JOINTS = 100_000, "some thousand joints"
 WORLD_FRAME = "world"
 BODY_FRAME = "base_link"
 
-_PLAIN = b"\x00\x01\x00\x00"
+PLAIN = b"\x00\x01\x00\x00"
 """Encapsulation: plain CDR with the least significant byte first."""
 _NOT_MEASURED = -1.0
 """First element of a covariance of `Imu` whose quantity is not measured."""
-_ORDERS = {_PLAIN[:2]: "<", b"\x00\x00": ">"}
-_BEGIN = len(_PLAIN)
+_ORDERS = {PLAIN[:2]: "<", b"\x00\x00": ">"}
+BEGIN = len(PLAIN)
 """Where the message begins; its numbers are aligned to their size from here."""
-_STAMP, _LENGTH = struct.Struct("<iI"), struct.Struct("<I")
+STAMP, LENGTH = struct.Struct("<iI"), struct.Struct("<I")
 
 
 class Clock(NamedTuple):
@@ -65,6 +64,10 @@ class Pose(NamedTuple):
         x, y, _, qx, qy, qz, qw = self.numbers
         return x, y, qw, qx, qy, qz
 
+    def in_frame(self, frame: str) -> Vector:
+        """Return the state, shape (6,); see `pose_in_frame`."""
+        return pose_in_frame(self.numbers, self.frame, frame)
+
 
 class UncertainPose(NamedTuple):
     """Stamped pose with the covariance of x, y, z [m] and turns about the fixed axes [rad].
@@ -78,7 +81,7 @@ class UncertainPose(NamedTuple):
 
     @property
     def state(self) -> tuple[float, ...]:
-        """As that of `Pose`."""
+        """State as that of `Pose`."""
         return Pose(self.stamp, self.frame, self.numbers[:7]).state
 
     def in_frame(self, frame: str) -> tuple[Vector, Vector | None]:
@@ -243,7 +246,7 @@ TYPES: dict[Any, str] = {
 }
 """Types of messages by the records of those that are read of a recording."""
 RECORDS = {msgtype: record for record, msgtype in TYPES.items()}
-"""These records by types of messages."""
+"""Records by types of messages."""
 _TEXT, _TIME, _ARRAY, _LIST = "text", "time", "array", "list"
 _HEADS = {_TEXT: "I", _TIME: "iI", _ARRAY: "I", _LIST: "I"}
 """Numbers that fields of these kinds begin with."""
@@ -299,7 +302,7 @@ _Record = TypeVar("_Record")
 def fields(raw: bytes, record: type) -> tuple[Any, ...]:
     """Return the fields of a serialised message in the order of the record of its type."""
     try:
-        return _fields(raw, _BEGIN, _COMPILED[raw[:2]][record])[0]
+        return _fields(raw, BEGIN, _COMPILED[raw[:2]][record])[0]
     except (KeyError, ValueError, struct.error):
         raise InvalidInputError(record.__name__, raw, "a message of this type") from None
 
@@ -319,11 +322,6 @@ def stamp_of(time: float, epoch: int = 0) -> int:
     return epoch + round(time * NANOSECONDS)
 
 
-def clock_message(stamp: int) -> bytes:
-    """Return the Clock message of a stamp [ns]."""
-    return _PLAIN + _STAMP.pack(*divmod(stamp, NANOSECONDS))
-
-
 def clock_stamp(raw: bytes) -> int:
     """Return the stamp [ns] of a Clock message, of 0 or more, as a ROS clock has it."""
     stamp = read(raw, Clock).stamp
@@ -332,68 +330,12 @@ def clock_stamp(raw: bytes) -> int:
     return stamp
 
 
-def pose_message(
-    state: Vector, stamp: int, shell_radius: float, frame: str = WORLD_FRAME
-) -> bytes:
-    """Return a state, shape (6,), as the PoseStamped of a sphere resting on the plane z = 0.
-
-    `stamp` is its time [ns], `shell_radius` the height of the centre [m].
-    """
-    x, y, qw, qx, qy, qz = state.tolist()
-    return _stamped(stamp, frame, x, y, shell_radius, qx, qy, qz, qw)
-
-
-def imu_message(
-    rate: Vector, force: Vector, deviations: Vector, stamp: int, frame: str
-) -> bytes:
-    """Return an Imu message without orientation, whose covariance then begins with -1.
-
-    `rate` is the angular velocity [rad/s], `force` the specific force [m/s^2], both of shape (3,)
-    in the frame, `deviations` those of their white noise about each axis, shape (2,).
-    """
-    turning, pulling = ((square, 0.0, 0.0, 0.0) * 2 + (square,) for square in deviations**2)
-    return _stamped(
-        stamp, frame, 0.0, 0.0, 0.0, 1.0, -1.0, *(0.0,) * 8, *rate.tolist(), *turning,
-        *force.tolist(), *pulling,
-    )
-
-
-def pose_of_message(raw: bytes, frame: str = WORLD_FRAME) -> Vector:
-    """Return the state, shape (6,), of a serialised PoseStamped; see `pose_in_frame`."""
-    _, given, numbers = fields(raw, Pose)
-    return pose_in_frame(numbers, given, frame)
-
-
 def pose_in_frame(numbers: tuple[float, ...], given: str, frame: str) -> Vector:
     """Return the state, shape (6,), of numbers as in `Pose`, given in the frame or without one."""
     if given not in ("", frame):
         raise InvalidStateError("frame", given, f"'{frame}' (world_frame) or none")
     x, y, _, qx, qy, qz, qw = numbers
     return make_state((x, y), (qw, qx, qy, qz))
-
-
-def trajectory_message(hold: FirstOrderHold, angles: Vector, epoch: int = 0) -> bytes:
-    """Return a first-order hold as a JointTrajectory of positions and velocities at its knots.
-
-    It is stamped with the time of the first one, at which the rotors have `angles` [rad], shape
-    (2,). The positions are the integral of the speeds, so that the cubics of ros2_controllers'
-    joint trajectory controller are parabolas and the rotors move exactly as planned. Without
-    positions it fails: it looks for them at the first point, to unwrap continuous joints, and at
-    the point before a trajectory is first sampled.
-    """
-    start = stamp_of(hold.start, epoch)
-    # As `stamp_of`, for all knots.
-    after = np.rint(hold.times * NANOSECONDS).astype(np.int64) - (start - epoch)
-    points = np.zeros(hold.times.size, _POINT)
-    points["positions"] = points["velocities"] = len(JOINT_NAMES)
-    speeds = points["speeds"] = hold.speeds
-    reached = points["angles"]
-    reached[0] = angles
-    reached[1:] = 0.5 * (hold.times[1:] - hold.times[:-1])[:, None] * (speeds[1:] + speeds[:-1])
-    reached.cumsum(axis=0, out=reached)
-    points["seconds"], points["nanoseconds"] = np.divmod(after, NANOSECONDS)
-    count = _LENGTH.pack(hold.times.size)
-    return b"".join((clock_message(start), _JOINTS, count, points.tobytes()))
 
 
 def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold, int]:
@@ -407,21 +349,9 @@ def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold
     return FirstOrderHold(times, speeds), trajectory.stamp
 
 
-def speeds_message(speeds: Vector) -> bytes:
-    """Return rotor speeds [rad/s], shape (2,), as a Float64MultiArray."""
-    return _PLAIN + struct.pack("<3I4x2d", 0, 0, len(JOINT_NAMES), *speeds.tolist())
-
-
 def speeds_of_message(raw: bytes) -> Vector:
     """Return the numbers of a serialised Float64MultiArray, shape (K,)."""
     return read(raw, Numbers).numbers
-
-
-def joint_states_message(angles: Vector, speeds: Vector, torques: Vector, stamp: int) -> bytes:
-    """Return rotor angles [rad], speeds [rad/s] and motor torques [N m], each of shape (2,)."""
-    both = len(JOINT_NAMES)
-    values = _STATES.pack(both, *angles.tolist(), both, *speeds.tolist(), both, *torques.tolist())
-    return clock_message(stamp) + _JOINTS + values
 
 
 def rotor_speeds_and_stamp(raw: bytes) -> tuple[Vector | None, int]:
@@ -434,23 +364,11 @@ def rotor_speeds_and_stamp(raw: bytes) -> tuple[Vector | None, int]:
     return None if found is None or not np.isfinite(found[1]).all() else found[1], joints.stamp
 
 
-def floor_message(grid: Grid | None, stamp: int, frame: str) -> bytes:
-    """Return an OccupancyGrid of values 0 and 100 with a stamp [ns]; one of no cells for None."""
-    grid = grid or Grid(np.empty((0, 0), bool), 0.0, (0.0, 0.0, 0.0))
-    x, y, qw, qx, qy, qz = upright_state(*grid.origin).tolist()
-    (height, width), time = grid.occupied.shape, divmod(stamp, NANOSECONDS)
-    head = _PLAIN + _STAMP.pack(*time) + _text(frame)
-    head += struct.pack("<iIfII", *time, grid.resolution, width, height)
-    head += bytes((_BEGIN - len(head)) % 8)
-    head += struct.pack("<7dI", x, y, 0.0, qx, qy, qz, qw, grid.occupied.size)
-    return head + (grid.occupied.view(np.int8) * np.int8(100)).tobytes()
-
-
 def _fields(raw: bytes, at: int, layout: list[_Field]) -> tuple[tuple[Any, ...], int]:
     """Return fields of a message from a place on, and the place behind them."""
     values: list[Any] = []
     for kind, size, head, item in layout:
-        at += (_BEGIN - at) % size
+        at += (BEGIN - at) % size
         numbers = head.unpack_from(raw, at)
         at += head.size
         value: Any = numbers
@@ -465,7 +383,7 @@ def _fields(raw: bytes, at: int, layout: list[_Field]) -> tuple[tuple[Any, ...],
         elif kind is _ARRAY:
             value = _NO_NUMBERS
             if numbers[0]:
-                at += (_BEGIN - at) % item.itemsize
+                at += (BEGIN - at) % item.itemsize
                 value = np.frombuffer(raw, item, numbers[0], at)
                 at += value.nbytes
         elif kind is _LIST:
@@ -475,27 +393,3 @@ def _fields(raw: bytes, at: int, layout: list[_Field]) -> tuple[tuple[Any, ...],
                 value.append(record if len(record) > 1 else record[0])
         values.append(value)
     return tuple(values), at
-
-
-def _stamped(stamp: int, frame: str, *numbers: float) -> bytes:
-    """Return the message of a header and numbers in double precision."""
-    head = clock_message(stamp) + _text(frame)
-    return head + bytes((_BEGIN - len(head)) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
-
-
-@cache
-def _text(*words: str) -> bytes:
-    """Return strings as CDR has them: length, characters, a zero byte, and padding to four."""
-    parts = [word.encode() + b"\x00" for word in words]
-    return b"".join(_LENGTH.pack(len(part)) + part + bytes(-len(part) % 4) for part in parts)
-
-
-_JOINTS = _text("") + _LENGTH.pack(len(JOINT_NAMES)) + _text(*JOINT_NAMES)
-"""From the stamp to the values: no frame, and the names of the joints."""
-_POINT = np.dtype([
-    ("positions", "<u8"), ("angles", "<f8", (2,)), ("velocities", "<u8"), ("speeds", "<f8", (2,)),
-    ("after", "<u8"), ("seconds", "<i4"), ("nanoseconds", "<u4"),
-])
-"""Point of a trajectory: number of positions and, aligned, the positions; the same of velocities;
-numbers of accelerations and efforts, and the time."""
-_STATES = struct.Struct("<I2dI4x2dI4x2d")

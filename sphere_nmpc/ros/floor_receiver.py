@@ -15,17 +15,16 @@ from geometry_msgs.msg import PolygonInstanceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.errors import InvalidParameterError, SphereNmpcError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.errors import Description, InvalidParameterError, SphereNmpcError
 from sphere_nmpc.floor.change_queue import ChangeQueue, Request
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import MOST_AREAS, Layers
 from sphere_nmpc.floor.map_file import read_map
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
-from sphere_nmpc.foreign_text import Description
-from sphere_nmpc.ros.cdr import floor_message
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.ros.cdr_messages import floor_message
 from sphere_nmpc.ros.floor_messages import (
     LARGEST_KEEPOUT,
     LARGEST_MAP,
@@ -37,7 +36,7 @@ from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 
 _KEEPOUTS = QoSProfile(depth=MOST_AREAS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of areas to keep out of, all of which are sent at once to a node that starts later."""
+"""Messages of areas to keep out of, all of which are sent at once to a node that starts later."""
 _LOOK_EVERY = 0.02
 """Wall time between two looks for a floor that is being made [s]."""
 _MOMENT = 1.0
@@ -156,7 +155,7 @@ class FloorReceiver(Generic[S, T]):
 
     @property
     def pending(self) -> float:
-        """For how long the oldest change has not been in force [s, wall]; 0 without any."""
+        """Time for which the oldest change has not been in force [s, wall]; 0 without any."""
         oldest = self._changes.oldest()
         return 0.0 if oldest is None else time.monotonic() - oldest.since
 

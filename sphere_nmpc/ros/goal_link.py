@@ -49,7 +49,7 @@ class GoalLink:
         self.status = DiagnosticStatus()
         """Newest status of the controller."""
         self.values: dict[str, str] = {}
-        """Its values; empty before the first."""
+        """Values of the status; empty before the first."""
         self.report = GoalReport()
         """What it says about the goals."""
         self._ended = ended

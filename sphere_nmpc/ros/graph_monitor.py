@@ -16,13 +16,13 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.conditions import Condition, Kind, worst_first
-from sphere_nmpc.fault_log import FaultLog, LastingFaults
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import shown
+from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
+from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
 from sphere_nmpc.ros.network import network_addresses, reaches_other_machines
 
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""For subscriptions whose incompatible publishers a `GraphMonitor` logs, rather than rclpy too."""
+"""Callbacks of subscriptions whose incompatible publishers a `GraphMonitor` logs, not rclpy."""
 UNKNOWN = "a node without a name"
 """Stands for the name of a node of which only a topic has been discovered yet."""
 INVALID = "a node whose name is invalid"
@@ -80,9 +80,12 @@ class GraphMonitor:
 
     def further_publishers(self, clocked: bool) -> list[Condition]:
         """Return the faults of further publishers of the pose and, if `clocked`, of the clock."""
-        pose, clock = map(self._node.resolve_topic_name, ("pose", "/clock"))
-        clocks = self.publishers(clock, Clock) if clocked else []
-        return further_publishers(pose, self.publishers(pose, PoseStamped), clock, clocks)
+        topics = [("/clock", Clock, CLOCK_EFFECT)] if clocked else []
+        found: list[Condition] = []
+        for name, kind, effect in (*topics, ("pose", PoseStamped, POSE_EFFECT)):
+            topic = self._node.resolve_topic_name(name)
+            found += several_publishers(topic, self.publishers(topic, kind), effect)
+        return found
 
     def clock_topics(self) -> list[str]:
         """Return the topics on which a clock is published."""
@@ -167,16 +170,6 @@ def full_name(info: TopicEndpointInfo) -> str:
     return name if _NAME.fullmatch(name) else INVALID
 
 
-def further_publishers(
-    pose_topic: str, poses: Sequence[str], clock_topic: str, clocks: Sequence[str]
-) -> list[Condition]:
-    """Return the faults of several nodes `clocks` or `poses` that publish clock or pose."""
-    return [
-        *several_publishers(clock_topic, clocks, CLOCK_EFFECT),
-        *several_publishers(pose_topic, poses, POSE_EFFECT),
-    ]
-
-
 def several_publishers(topic: str, nodes: Sequence[str], effect: str) -> list[Condition]:
     """Return the fault of a topic that more than one of `nodes` publishes, with its effect."""
     if len(nodes) < 2:
@@ -199,7 +192,7 @@ def names_of(nodes: Iterable[str]) -> str:
 
 
 def network_fault(announced: Set[str], present: Set[str]) -> list[Condition]:
-    """Return the fault of a node that other machines are not told the right address of.
+    """Return the fault of a node whose right address other machines do not get.
 
     `announced` are the addresses of this machine when the node started, which Fast DDS announces
     as long as the node runs, `present` those that it has now.

@@ -25,17 +25,22 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
-from sphere_nmpc.errors import InvalidInputError, InvalidValueError, SphereNmpcError, reason_of
-from sphere_nmpc.fault_log import EVENTS_EVERY, FaultLog
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import (
+    Description,
+    InvalidInputError,
+    InvalidValueError,
+    SphereNmpcError,
+    reason_of,
+)
+from sphere_nmpc.reporting.fault_log import EVENTS_EVERY, FaultLog
 from sphere_nmpc.ros.cdr import clock_stamp
 from sphere_nmpc.ros.messages import message_object
 from sphere_nmpc.ros.parameters import Parameters
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For topics of which only the newest message counts: a lost one does not delay it."""
+"""QoS of topics of which only the newest message counts: a lost one does not delay it."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""For topics whose last message is sent to later subscribers, too."""
+"""QoS of topics whose last message is sent to later subscribers, too."""
 _TYPE_HASH = re.compile("RIHS01_[0-9a-f]{64}")
 LONGEST_WAIT = 0.1
 """Longest wait in the middleware [s]; not every executor can be woken by a signal."""

@@ -4,15 +4,16 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch
 from sphere_nmpc.ros.graph_monitor import (
     CLOCK_EFFECT,
     POSE_EFFECT,
@@ -23,13 +24,11 @@ from sphere_nmpc.ros.graph_monitor import (
 SILENCE_LIMIT = 1.25
 """Silence after which a topic counts as missing [s, wall]. Nodes that start together have
 discovered each other by then, and with checks every half second faults are logged within two."""
-OTHER_CLOCK_AGE = 1e6
-"""Age of a message beyond which its stamp is of another kind of clock, not merely late [s]."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Stamped messages that a node depends on: type, and words of what is told of them."""
+    """Stamped messages that a node depends on: type, and words for what they are."""
 
     message: type
     missing: Kind
@@ -38,7 +37,7 @@ class Source:
     remedy: str
     """What is to be started where nobody publishes them."""
     topic: str
-    """Its relative name."""
+    """Relative name of the topic."""
     effect: str
     """What several publishers of it cause; empty where there may be several."""
     patience: str = ""
@@ -52,51 +51,23 @@ POSES = Source(
 )
 
 
-class StampedInput:
-    """Messages of a source: since when there are none, and the best stamp since a check."""
-
-    def __init__(self, source: Source, topic: str) -> None:
-        self.source, self.topic = source, topic
-        self.seen_at = time.monotonic()
-        """Wall time of the last check before which there were messages [s]."""
-        self.age, self.has_stamp = math.nan, True
-        """Age nearest to 0 [s] of those before that check, one of which has a stamp other than 0:
-        of another clock are those whose stamps are all wrong."""
-        self.reported = ""
-        """What the node that publishes them reports as wrong."""
-        self._received = False
-
-    def received(self, age: float, stamp: int) -> None:
-        """Record a message with a stamp [ns], `age` behind the clock [s]; nan if unknown."""
-        if not self._received:
-            self._received, self.age, self.has_stamp = True, age, stamp != 0
-            return
-        self.has_stamp = self.has_stamp or stamp != 0
-        if not abs(age) >= abs(self.age):
-            self.age = age
-
-    def checked(self, wall: float) -> None:
-        """Begin anew at a check, at wall time `wall` [s]."""
-        if self._received:
-            self._received, self.seen_at = False, wall
-
-
 class InputMonitor:
     """Monitor of clock and sources, which logs the faults around a node.
 
-    The silence of the first source is a fault; of all their stamps have to be of the node's clock.
+    The silence of the first source is a fault; of all their stamps, which the node has watched,
+    have to be of its clock.
     """
 
-    def __init__(self, node: Node, fault_log: FaultLog, *sources: Source) -> None:
+    def __init__(
+        self, node: Node, fault_log: FaultLog, sources: Mapping[Source, StampWatch]
+    ) -> None:
         self._fault_log = fault_log
         self.graph = GraphMonitor(node, fault_log)
         """Monitor of the graph, for further faults."""
-        self.inputs = [
-            StampedInput(source, node.resolve_topic_name(source.topic)) for source in sources
-        ]
-        """Messages of the sources."""
-        self.topic = self.inputs[0].topic
-        """Full name of the topic of the first source."""
+        self.watches = sources
+        """Monitors of the messages, by their source."""
+        self.topics = {source: node.resolve_topic_name(source.topic) for source in sources}
+        """Full names of the topics; the first one is that of the messages needed most."""
         self._clock_topic = node.resolve_topic_name("/clock")
         self.time = math.nan
         """Control time at the last check [s]; nan before the first message on /clock."""
@@ -109,6 +80,11 @@ class InputMonitor:
     def faults(self) -> tuple[Condition, ...]:
         """The present faults, the worst first."""
         return self.graph.faults
+
+    @property
+    def inexact_stamps(self) -> list[Condition]:
+        """What is wrong with the stamps of the first source of which something is; else empty."""
+        return [fault for watch in self.watches.values() if (fault := watch.fault())][:1]
 
     def update(
         self, now: float | None, follows_clock: bool, timeout: float, further: Sequence[Condition]
@@ -126,26 +102,27 @@ class InputMonitor:
         clocks = graph.publishers(self._clock_topic, Clock)
         others = graph.clock_topics() if follows_clock and not clocks else []
         found: list[Condition] = []
-        for one in self.inputs:
+        first = next(iter(self.watches))
+        for source, watch in self.watches.items():
             # Measured at the same checks, clock and messages of a simulator that ends are silent
             # for the same time.
-            one.checked(wall)
-            if one is not self.inputs[0] and wall - one.seen_at >= SILENCE_LIMIT:
+            watch.checked(wall)
+            if source is not first and wall - watch.seen_at >= SILENCE_LIMIT:
                 continue
-            told = find_faults(GraphState(
-                follows_clock, self.time, wall - self._time_changed_at, wall - one.seen_at,
-                one.age, timeout, clocks, graph.publishers(one.topic, one.source.message),
-                self._clock_topic, one.topic, others, one.has_stamp, one.source, one.reported,
+            topic = self.topics[source]
+            found_there = find_faults(GraphState(
+                follows_clock, self.time, wall - self._time_changed_at, wall - watch.seen_at,
+                watch.age, timeout, clocks, graph.publishers(topic, source.message),
+                self._clock_topic, topic, others, watch.has_stamp, source, watch.reported,
             ))
             names = {fault.name for fault in found}
-            found += [fault for fault in told if fault.name not in names]
+            found += [fault for fault in found_there if fault.name not in names]
         # A comparison of all profiles takes longer than a tick, and before the first one a
         # publisher of another type may be the only one that has been discovered.
         if wall >= self._compared_at + SILENCE_LIMIT:
             self._compared_at, self._incompatible = wall, graph.incompatible()
-        if any(fault.subject == self.topic for fault in self._incompatible):
-            missing = self.inputs[0].source.missing
-            found = [fault for fault in found if fault.kind is not missing]
+        if any(fault.subject == self.topics[first] for fault in self._incompatible):
+            found = [fault for fault in found if fault.kind is not first.missing]
         names = {fault.name for fault in found}
         further = [fault for fault in further if fault.name not in names]
         graph.update([*self._incompatible, *found, *further])

@@ -20,10 +20,9 @@ from pathlib import Path
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 
-from sphere_nmpc.child import END_SIGNALS, NICENESS
-from sphere_nmpc.errors import EndingError, SphereNmpcError
-from sphere_nmpc.foreign_code import allow_calls, end_calls, is_called, on_signal
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import EndingError, SphereNmpcError, shown
+from sphere_nmpc.foreign.code import allow_calls, end_calls, is_called, on_signal
+from sphere_nmpc.process.child import END_SIGNALS, NICENESS
 from sphere_nmpc.ros.guarded_node import FAILED, GuardedNode
 from sphere_nmpc.ros.network import network_reach
 from sphere_nmpc.ros.startup import one_line, start_ros, without_ros_arguments
@@ -44,13 +43,17 @@ _TASKS = Path("/proc/self/task")
 _OF_SESSION = Path("/proc/self/autogroup")
 _OWN_CLOCK = ("--ros-args", "-r", "/clock:=clock")
 """In a namespace a robot has its own clock; a remapping given by the user takes precedence."""
+_ABOUT_PARAMETERS = """\
+Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
+msg_docs/parameters.md lists them."""
+"""End of what ``--help`` prints of any node."""
 
 
 def run(make_node: Callable[[], GuardedNode], args: Sequence[str] | None, about: str) -> int:
     """Run a node until a signal asks it to end, see `END_SIGNALS`, then let it finish.
 
     `make_node` is called with rclpy initialised, `args` are those after the program's name,
-    `about` is what ``--help`` prints. Returns 0 after a signal; 2 for wrong arguments, parameters
+    `about` is how ``--help`` begins. Returns 0 after a signal; 2 for wrong arguments, parameters
     or environment variables, 1 if the node cannot be made for another reason or its work raises
     an `EndingError`; the reason is printed in one line.
     """
@@ -63,7 +66,7 @@ def run(make_node: Callable[[], GuardedNode], args: Sequence[str] | None, about:
         print(f"cannot start: {error}", file=sys.stderr)
         return error.exit_code
     if "-h" in own or "--help" in own:
-        print(about.strip())
+        print(f"{about.strip()}\n\n{_ABOUT_PARAMETERS}")
         return 0
     if own:
         how = "  --ros-args -p NAME:=VALUE ... --params-file FILE.yaml"

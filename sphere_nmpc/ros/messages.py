@@ -15,8 +15,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 
-from sphere_nmpc.errors import InvalidInputError, InvalidStateError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidInputError, InvalidStateError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import (
@@ -132,7 +131,7 @@ def odometry_to_ros(
 
     `velocity` is that of the centre [m/s; world frame], shape (3,), `body_rate` the angular
     velocity [rad/s; body frame], shape (3,); `covariances` are those of pose, about the fixed axes
-    of the world, and twist, shape (6, 6) each, None where they are not told. For the others see
+    of the world, and twist, shape (6, 6) each, None where they are not known. For the others see
     `pose_message`.
     """
     message = Odometry()

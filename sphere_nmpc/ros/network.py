@@ -74,7 +74,7 @@ class RosEnvironmentError(InvalidValueError):
 
 
 def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> list[str]:
-    """Check the environment of this process and adapt it; return what to tell, in one line each.
+    """Check the environment of this process and adapt it; return what to log, in one line each.
 
     A value that ROS cannot use raises `RosEnvironmentError`.
     """

@@ -18,8 +18,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from sphere_nmpc.errors import InvalidParameterError, reason_of
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidParameterError, reason_of, shown
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import Quantity, quantities
 

@@ -10,7 +10,8 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.cdr import BODY_FRAME, pose_message
+from sphere_nmpc.ros.cdr import BODY_FRAME
+from sphere_nmpc.ros.cdr_messages import pose_message
 from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros, transform_from_pose
 
 try:

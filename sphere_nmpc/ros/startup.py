@@ -11,8 +11,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import SphereNmpcError, printable_line
 from sphere_nmpc.ros.network import prepare_environment, unwritable_log_folder
 
 _WITHOUT_LOG_FILE = ("--ros-args", "--disable-external-lib-logs")

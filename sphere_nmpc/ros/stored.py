@@ -9,8 +9,8 @@ from typing import Generic, TypeVar
 
 from rclpy.node import Node
 
-from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.own_folder import KeptFile, cache_folder
+from sphere_nmpc.foreign.own_folder import KeptFile, cache_folder
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.control_clock import ControlClock
 
 T = TypeVar("T")

@@ -46,7 +46,7 @@ class Side(NamedTuple):
 
 
 class Meetings(NamedTuple):
-    """For each half motion from the start its best partner.
+    """Best partner of each half motion from the start.
 
     Attributes
     ----------

@@ -44,12 +44,12 @@ from sphere_nmpc.solver.problem import (
 
 ROWS = 8
 """Residuals of the terminal error."""
-_LARGEST_CHANGE, _LARGEST_STRETCH = 0.5, 0.15
+_MAX_CHANGE, _MAX_STRETCH = 0.5, 0.15
 """Largest change of a scaled knot, and of the logarithm of the duration, in a step."""
-_ACCEPTED, _CORRECTED = 0.1, 0.5
+_ACCEPTED_SHARE, _CORRECTED_SHARE = 0.1, 0.5
 """Share of the predicted decrease from which on a step is accepted, and below which it is first
 corrected."""
-_LARGEST_PROXIMAL = 1e6
+_MAX_PROXIMAL = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +173,7 @@ def minimise_time(
         trial = program.moved(here, z, s)
         residual = here.merit - here.stretch * (1.0 + s) * whole - program.weighed(linear)
         residual -= problem.effort(trial.inputs, trial.stretch)
-        if not here.merit - trial.merit >= _CORRECTED * residual:
+        if not here.merit - trial.merit >= _CORRECTED_SHARE * residual:
             again = program.step(here, proximal, pull, here.error + trial.error - linear)
             corrected = None if again is None else program.moved(here, *again)
             if corrected is not None and again is not None and corrected.merit < trial.merit:
@@ -181,7 +181,7 @@ def minimise_time(
         decrease = here.merit - trial.merit
         square = max(float(np.sum(program.metric * z * z)), 1e-12)
         curvature = 2.0 * (residual - decrease) / square
-        if decrease >= _ACCEPTED * residual and decrease > 0.0:
+        if decrease >= _ACCEPTED_SHARE * residual and decrease > 0.0:
             here, succession = trial, succession + 1
             pull = succession / (succession + 3.0) * z
             proximal = min(max(curvature, 0.25 * proximal), 4.0 * proximal)
@@ -191,7 +191,7 @@ def minimise_time(
         left = program.weighed(here.error)
         if residual < settings.decrease_floor or left < settings.target_cost:
             status = SolveStatus.CONVERGED
-        elif not proximal < _LARGEST_PROXIMAL:
+        elif not proximal < _MAX_PROXIMAL:
             status = SolveStatus.STALLED
     inputs = here.inputs.copy()
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
@@ -260,11 +260,11 @@ class _Program:
         `error` is the terminal error that the step is to bring to zero.
         """
         problem, size = self._problem, here.v.size
-        down = np.where(self._free, np.maximum(self._lower - here.v, -_LARGEST_CHANGE), 0.0)
-        up = np.where(self._free, np.minimum(self._upper - here.v, _LARGEST_CHANGE), 0.0)
+        down = np.where(self._free, np.maximum(self._lower - here.v, -_MAX_CHANGE), 0.0)
+        up = np.where(self._free, np.minimum(self._upper - here.v, _MAX_CHANGE), 0.0)
         reach, change = here.stretch * self._reach, self._changes(here.v)
         infinite = np.full(ROWS, np.inf)
-        shortest = max(-_LARGEST_STRETCH, self._least / here.stretch - 1.0)
+        shortest = max(-_MAX_STRETCH, self._least / here.stretch - 1.0)
         duration = here.stretch * float(np.sum(problem.durations))
         weights = np.full(2 * ROWS, problem.error_weight)
         intervals = np.repeat(here.stretch * problem.durations, INPUT_SIZE)
@@ -281,7 +281,7 @@ class _Program:
             lba=np.concatenate((-error, -np.inf * reach, -reach - change, -any_value, -own)),
             uba=np.concatenate((-error, reach - change, np.inf * reach, -own, any_value)),
             lbx=np.concatenate((down, [shortest], np.zeros(2 * ROWS + own.size))),
-            ubx=np.concatenate((up, [_LARGEST_STRETCH], infinite, infinite, any_value)),
+            ubx=np.concatenate((up, [_MAX_STRETCH], infinite, infinite, any_value)),
         )
         if not self._solver.stats()["success"]:
             return None

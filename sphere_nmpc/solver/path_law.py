@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Law by which the centre follows a path, in CasADi expressions: its only definition.
+"""Law by which the centre follows a path, in CasADi expressions for the code generator.
 
 Without momentum the motion depends on the angles by which the rotors turn alone, not on when: a
 path may be followed at any pace. The law is written for a nominal one of Rs in a unit of time. Its
@@ -36,9 +36,9 @@ _TURN_WEIGHT = 0.3
 """Weight rho_0 of the spin beside the velocity [Rs]."""
 _WIDTH = 0.25
 """Tangent w of the latitude within which the spin is weighed."""
-_HEADING = 0.2
+_LARGE_HEADING_ERROR = 0.2
 """Error chi_0 of the heading [rad] that is large."""
-_NEAR = 0.05
+_MIN_ERROR = 0.05
 """Least e_0 [Rs]."""
 LAW_SIZES = {"quaternion": 4, "place": 2, "point": 4, "given": 3, "p": 4}
 """Arguments of `path_law`."""
@@ -72,7 +72,7 @@ def path_law(
     tangent = axis[2] / level
     away = (point[:2] - place) / radius
     distance = ca.sqrt(ca.dot(away, away) + 1e-18)
-    pace = given[1] / (1 + (distance * radius / ca.fmax(given[2], _NEAR * radius)) ** 2)
+    pace = given[1] / (1 + (distance * radius / ca.fmax(given[2], _MIN_ERROR * radius)) ** 2)
     velocity = pace * ca.vertcat(ca.cos(point[2]), ca.sin(point[2]))
     velocity += ca.fmin(_GAIN, 1 / distance) * away
     speed = ca.sqrt(ca.dot(velocity, velocity) + 1e-18)
@@ -86,7 +86,7 @@ def path_law(
         - given[0] * ca.fabs(axis[2]) ** power / level
     )
     error = ca.atan2(east * across, east * along) - offset
-    large = (error / _HEADING) ** 2
+    large = (error / _LARGE_HEADING_ERROR) ** 2
     near = ca.exp(-((tangent / _WIDTH) ** 2) * (1 + large))
     slower = 1 / (1 + near * large)
     weight = _TURN_WEIGHT * near

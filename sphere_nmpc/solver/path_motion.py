@@ -26,12 +26,12 @@ from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.solver.native.library import library
 
-_STEP, _SHORTEST, _CHANGE, _ENDED = 0.02, 1.5e-4, 0.17, 3e-3
+_MAX_STEP, _MIN_STEP, _MAX_SPEED_CHANGE, _END_DISTANCE = 0.02, 1.5e-4, 0.17, 3e-3
 """Longest and shortest step of the nominal motion [Rs], change of the rotors' speeds [over c1] by
 one, distance from the end of the path at which it ends [Rs]."""
-_ANGLE = 1e-4
+_MAX_ANGLE_ERROR = 1e-4
 """Angle by which the shell may turn less or more between two knots [rad]."""
-_CAPACITY = 3000
+_MAX_STEPS = 3000
 """Steps at most."""
 _FIELDS = 9
 _WORKSPACES = threading.local()
@@ -113,8 +113,8 @@ def along_path(problem: PathProblem) -> PathMotion:
     if solver is None:
         return _plain(problem)
     if not hasattr(_WORKSPACES, "steps"):
-        _WORKSPACES.steps = np.empty((_CAPACITY, _FIELDS))
-        _WORKSPACES.knots = np.empty((_CAPACITY, 5))
+        _WORKSPACES.steps = np.empty((_MAX_STEPS, _FIELDS))
+        _WORKSPACES.knots = np.empty((_MAX_STEPS, 5))
     knots: Vector = _WORKSPACES.knots
     # Named, so that they live until the call has ended.
     arrays = (
@@ -123,7 +123,7 @@ def along_path(problem: PathProblem) -> PathMotion:
     )
     found = solver.hold_along_path(
         len(path.curve), path.spacing, path.tolerance, problem.turn, problem.way, problem.last,
-        *(array.ctypes.data for array in arrays), _CAPACITY,
+        *(array.ctypes.data for array in arrays), _MAX_STEPS,
         _WORKSPACES.steps.ctypes.data, knots.ctypes.data,
     )
     return _motion(knots[:found])
@@ -154,7 +154,7 @@ def _plain(problem: PathProblem) -> PathMotion:
         shares = (times[part] - times[part][0])[:, None] / (times[part][-1] - times[part][0])
         off = speeds[part] - (1.0 - shares) * speeds[part][0] - shares * speeds[part][-1]
         turned = float(np.max(np.abs(off))) * problem.constants[1] * np.ptp(times[part])
-        if k == len(times) - 1 or turned > _ANGLE:
+        if k == len(times) - 1 or turned > _MAX_ANGLE_ERROR:
             kept.append(k)
     jumps = np.full(len(times), np.max(np.abs(jump)))
     return _motion(np.column_stack((times, speeds, ways, jumps))[kept])
@@ -163,29 +163,29 @@ def _plain(problem: PathProblem) -> PathMotion:
 def _nominal(problem: PathProblem) -> tuple[Vector, Vector, Vector]:
     """Return times, laws and ways of the nominal motion."""
     path, radius = problem.path, float(problem.constants[0])
-    change, end = _CHANGE / float(problem.constants[1]), path.places[-1]
+    change, end = _MAX_SPEED_CHANGE / float(problem.constants[1]), path.places[-1]
     pose, way = problem.state[POSE].copy(), problem.way
 
     def law(way: float, pose: Vector) -> Vector:
         given = problem.turn, way < path.length, path.tolerance
         return _law(pose, path.at(way), np.array(given), problem.constants)
 
-    step, tau = _STEP, 0.0
+    step, tau = _MAX_STEP, 0.0
     bend: Vector = np.zeros(2)
     here = law(way, pose)
     rows = [(tau, way)]
     laws = [here]
     last = problem.last if problem.last < path.length else math.inf
-    while len(rows) < _CAPACITY and way < last:
-        if way >= path.length and math.hypot(*(end - pose[:2])) < _ENDED * radius:
+    while len(rows) < _MAX_STEPS and way < last:
+        if way >= path.length and math.hypot(*(end - pose[:2])) < _END_DISTANCE * radius:
             break
-        step = min(2.0 * step, _STEP)
+        step = min(2.0 * step, _MAX_STEP)
         while True:
             # Where the speeds go on to change as they did, or else not at all.
             predicted = _moved(pose, here, here[:2] + step * bend, step, problem.constants)
             ahead = min(way + radius * step * here[2], path.length)
             following = law(ahead, predicted)
-            if not np.max(np.abs(following[:2] - here[:2])) > change or step < _SHORTEST:
+            if not np.max(np.abs(following[:2] - here[:2])) > change or step < _MIN_STEP:
                 break
             step, bend = 0.5 * step, np.zeros(2)
         pose, tau = _moved(pose, here, following, step, problem.constants), tau + step

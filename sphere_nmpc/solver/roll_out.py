@@ -37,7 +37,7 @@ class Propagation(NamedTuple):
 
     @classmethod
     def of(cls, state: Vector, derivatives: Vector) -> "Propagation":
-        """Return it from derivatives by rotation, momentum, constants and torques, (8, 15)."""
+        """Return one from derivatives by rotation, momentum, constants and torques, (8, 15)."""
         by_start = np.zeros((8, 8))
         by_start[0, 0] = by_start[1, 1] = 1.0
         by_start[:, 2:] = derivatives[:, :6]

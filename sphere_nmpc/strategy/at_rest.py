@@ -59,21 +59,21 @@ SATURATED = "rest: the rotors cannot hold the momentum, they stay at their limit
 TOLERANCE = 0.05
 """Components along the body's z axis that are left, of the momentum [rad/s], which turns the
 sphere by 1e-2 in some seconds, and of its rate [rad/s^2]."""
-_LEAST_TOLD = 1e-2
-"""Change of the orientation [rad] that is told; one below it is half the error at which a goal
+_MIN_REPORTED_CHANGE = 1e-2
+"""Change of the orientation [rad] that is reported; one below it is half the error at which a goal
 counts as reached."""
-_ITERATIONS = 20
+_MAX_ITERATIONS = 20
 """Cap on the iterations towards a goal that can be held."""
 _STEP = 1e-6
 """Step of the difference quotients [rad]."""
-_LARGEST_TURN = 0.5
+_MAX_TURN = 0.5
 """Largest change of an iteration [rad]."""
-_LEAST_MOMENTUM = 10.0
+_MIN_MOMENTUM = 10.0
 """Momentum [rad/s] below which its direction is no longer followed."""
-_LEAST_DIRECTED = 0.5
+_MIN_COSINE = 0.5
 """Cosine of the angle from the last direction of the momentum [-] beyond which it is no longer
 followed."""
-_TRACKED, _TRACKING_PERIOD = 6, 0.2
+_TRACKING_KNOTS, _TRACKING_PERIOD = 6, 0.2
 """Knots of the problem that tracks a goal, and their spacing [s; for the robot of Table 1]."""
 _TRACKING_WEIGHT = 1e-3
 """Weight of the squared rotor speeds over those of the largest ones [-] in that problem."""
@@ -204,7 +204,7 @@ class AtRest:
         level = momentum * (1.0, 1.0, 0.0)
         length = float(np.linalg.norm(level))
         # Near zero the direction is not defined, and the momentum then reverses along it.
-        if float(level @ self._direction) > _LEAST_DIRECTED * length and length > _LEAST_MOMENTUM:
+        if float(level @ self._direction) > _MIN_COSINE * length and length > _MIN_MOMENTUM:
             self._direction = level / length
 
     def plan(self, situation: Situation) -> Plan:
@@ -293,7 +293,7 @@ def _for_tracking(settings: ControllerSettings) -> ControllerSettings:
     """Return settings that keep the sphere near a goal that moves, at each of the knots."""
     period = max(_TRACKING_PERIOD * settings.units.time, SHORTEST_PERIOD)
     return replace(
-        settings, horizon=_TRACKED, sample_period=period, terminal_weight=1.0,
+        settings, horizon=_TRACKING_KNOTS, sample_period=period, terminal_weight=1.0,
         input_weight=_TRACKING_WEIGHT / settings.units.max_speed**2,
     )
 
@@ -319,7 +319,7 @@ def holdable_goal(goal: Vector, momentum: Vector, disturbance: Disturbance) -> V
     if not found.any():
         return goal
     violated = found != 0.0
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         # A condition that has been violated once is kept from then on: corrected one at a time,
         # in turn, two that are nearly parallel would take hundreds of iterations.
         violated |= found != 0.0
@@ -329,7 +329,7 @@ def holdable_goal(goal: Vector, momentum: Vector, disturbance: Disturbance) -> V
         jacobian = violated[:, None] * np.column_stack(columns)
         turn = -np.linalg.pinv(jacobian, rcond=1e-6) @ found
         angle = float(np.linalg.norm(turn))
-        q = _turned(q, turn * min(1.0, _LARGEST_TURN / max(angle, _STEP)))
+        q = _turned(q, turn * min(1.0, _MAX_TURN / max(angle, _STEP)))
         found = _excess(q, momentum, disturbance)
         if not found.any():
             break
@@ -340,7 +340,7 @@ def holdable_goal(goal: Vector, momentum: Vector, disturbance: Disturbance) -> V
 
 def changed_orientation(angle: float) -> str:
     """Return what is given up by a change of the goal's orientation [rad], empty if little."""
-    if angle < _LEAST_TOLD:
+    if angle < _MIN_REPORTED_CHANGE:
         return ""
     return f"orientation by {np.degrees(angle):.1f} deg: the rotors cannot hold the momentum there"
 

@@ -16,27 +16,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.solver.half_motions import Side
 from sphere_nmpc.solver.native.library import library
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 
-_SAMPLES = 0.06, 0.015, 0.0025
+_MAX_SAMPLE_TIMES = 0.06, 0.015, 0.0025
 """Longest time between two samples of a path [1 / (c1 u_max)]: 25.5 mm of the way for Table 1 with
 both rotors at their limits, and 6.4 and 1.1 mm where that does not certify it."""
-_DEVIATIONS = 3.0
-"""Standard deviations of the position that are added."""
-_VARIES = 1e-3
+_MAX_CHANGE = 1e-3
 """Distance [m] by which a plan may be nearer to what is occupied than its goal, a goal nearer than
 a radius that is learnt, and the clearance fall where it is too small already."""
-_ROUNDING = 1e-6
+_ROUNDING_DISTANCE = 1e-6
 """Distance [m] by which a goal may lack radius and clearance."""
-_LEAST_SHARE = 0.1
+_MIN_INERTIA_SHARE = 0.1
 """Least share [-] of its inertia about the contact point that an imbalance leaves a sphere; beyond
 it the bound of the speed is none."""
 
@@ -48,13 +47,13 @@ class Margin(Enum):
     """
 
     FOUND = 0.02
-    """Of a plan that a search finds."""
+    """Margin of a plan that a search finds."""
     STRAIGHT = 0.013
-    """Of one along a straight line."""
+    """Margin of one along a straight line."""
     KEPT = 0.007
-    """Of one that is being followed."""
+    """Margin of one that is being followed."""
     SENT = 0.0
-    """Of a command that begins later than it was planned."""
+    """Margin of a command that begins later than it was planned."""
 
 
 def needed_distance(situation: Situation, margin: Margin) -> float:
@@ -64,8 +63,8 @@ def needed_distance(situation: Situation, margin: Margin) -> float:
     be as near as is allowed: a plan to it has no margin that it lacks.
     """
     floor = situation.floor
-    beyond = margin.value * floor.radius + _DEVIATIONS * situation.place_deviation
-    there = floor.least_distance(situation.goal.pose[POSITION]) - _VARIES
+    beyond = margin.value * floor.radius + EXPECTED_DEVIATIONS * situation.place_deviation
+    there = floor.least_distance(situation.goal.pose[POSITION]) - _MAX_CHANGE
     return min(situation.least_distance + beyond, max(there, situation.radius))
 
 
@@ -80,7 +79,7 @@ def refusal(situation: Situation, floor: Floor) -> tuple[Kind, str] | None:
         )
     goal, radius = situation.goal.pose[POSITION], situation.radius
     distance = floor.distance(goal)
-    if distance >= max(floor.needed - _ROUNDING, radius - _VARIES):
+    if distance >= max(floor.needed - _ROUNDING_DISTANCE, radius - _MAX_CHANGE):
         return None
     if distance > 0.0:
         least = f"radius and clearance, {floor.needed:.3g} m"
@@ -122,7 +121,7 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
     spacings = _spacings(situation, hold)
     found: float = solver.hold_clearance(
         hold.times.size - 1, *(array.ctypes.data for array in arrays), *corners.shape,
-        place.ctypes.data, needed, situation.radius, _VARIES, bound_of_speed(situation),
+        place.ctypes.data, needed, situation.radius, _MAX_CHANGE, bound_of_speed(situation),
         spacings.ctypes.data, spacings.size,
     )
     return found
@@ -131,7 +130,7 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
 def _spacings(situation: Situation, hold: FirstOrderHold) -> Vector:
     """Return the longest times between samples [s] that are tried one after the other."""
     largest = max(1.0, float(np.max(np.abs(hold.speeds))))
-    found: Vector = np.array(_SAMPLES) / (situation.constants.input_gain * largest)
+    found: Vector = np.array(_MAX_SAMPLE_TIMES) / (situation.constants.input_gain * largest)
     return found
 
 
@@ -187,7 +186,7 @@ class Profile(NamedTuple):
         reached = np.maximum.accumulate(distances)
         # Short of it at the start, whether a path falls is only known at its samples.
         known = np.where(reached[:-1] < needed, distances[1:], between)
-        wanted = np.maximum(np.minimum(needed, reached[1:]) - _VARIES, min(start, radius))
+        wanted = np.maximum(np.minimum(needed, reached[1:]) - _MAX_CHANGE, min(start, radius))
         if np.any(known < wanted) or (start >= radius and np.any(between < radius)):
             return math.nan
         return float(min(np.min(distances), np.min(between, initial=start)))
@@ -248,7 +247,7 @@ def bound_of_speed(situation: Situation) -> float:
     beside = gain * radius / GRAVITY * math.sqrt(imbalance.dot(imbalance))
     half = 0.5 * (ratio + transverse)
     least = half - math.sqrt(max(half**2 - ratio * min(transverse, axial), 0.0))
-    return float(fastest * factor / max(1.0 - 2.0 * beside / least, _LEAST_SHARE))
+    return float(fastest * factor / max(1.0 - 2.0 * beside / least, _MIN_INERTIA_SHARE))
 
 
 def without_collisions(situation: Situation, side: Side, beyond: Vector | None = None) -> Side:

@@ -10,16 +10,16 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import (
     ForeignCodeError,
     InvalidParameterError,
     SphereNmpcError,
+    printable_line,
     reason_of,
+    shown,
 )
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.foreign_code import called
-from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.foreign.code import called
 from sphere_nmpc.model.course import Course, Leg, LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import place_deviation, state_deviation
@@ -28,6 +28,7 @@ from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import MOMENTUM, STATE_SIZE, Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 from sphere_nmpc.worker.contract import Worker
@@ -40,7 +41,7 @@ plan for a momentum that differs by less can still be followed."""
 MOST_KNOTS = 3000
 """Knots that a plan may have: those of this package have some hundred. Up to a command so many
 take 15 ms, 10 000 of them 80 ms."""
-_DIFFERENT = 1e-3
+_SPEED_STEP = 1e-3
 """Difference from the speeds in force [rad/s] from which on a plan does not begin with them."""
 _FIELDS: dict[type, dict[str, Any]] = {
     Plan: {
@@ -299,7 +300,7 @@ def _taken(strategy: Strategy, situation: Situation, robot: RobotParameters) -> 
         raise ArithmeticError("the predicted states are not finite")
     states.flags.writeable = False
     time, speeds = situation.time, situation.speeds
-    if abs(hold.start - time) > SHORTEST or np.abs(hold.speeds[0] - speeds).max() > _DIFFERENT:
+    if abs(hold.start - time) > SHORTEST or np.abs(hold.speeds[0] - speeds).max() > _SPEED_STEP:
         hold = hold.starting_at(time, speeds, SHORTEST)
     return replace(
         plan, states=states, clearance=math.nan,

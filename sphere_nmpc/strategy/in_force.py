@@ -12,6 +12,7 @@ from functools import cached_property
 from sphere_nmpc.model.course import Course, LegEnd
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, Vector, state_error
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
@@ -46,6 +47,12 @@ class InForce:
         made_for = self.situation
         leg = made_for.course.legs[made_for.leg]
         return leg, made_for.floor, made_for.plant, made_for.disturbance
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """How things stand while it is followed."""
+        is_saturated = self.plan.status is PlanStatus.SATURATED
+        return (Kind.SATURATED if is_saturated else Kind.TRACKING).conditions
 
     @property
     def is_certified(self) -> bool:

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import LeastSquaresProblem, Solution, SolverSettings, SolveStatus
 from sphere_nmpc.solver.solve import solve
@@ -34,7 +34,7 @@ from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
 
 SETTLED_COST = 1e-4
 """Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled."""
-_LEAST_DECREASE = 1e-3
+_MIN_DECREASE = 1e-3
 """Relative decrease of the cost in a sample period below which the point counts as stationary. A
 goal straight ahead exceeds it up to 700 m away; a wrong value only costs or saves a few solves."""
 _AMPLITUDE = 0.3
@@ -198,7 +198,7 @@ class PaperStrategy:
             return False
         last, cost = self._last_cost, solution.cost
         self._horizon_end, self._last_cost = horizon_end, cost
-        stationary = solution.iterations == 0 or not cost < (1.0 - _LEAST_DECREASE) * last
+        stationary = solution.iterations == 0 or not cost < (1.0 - _MIN_DECREASE) * last
         return stationary and cost > self._settled_cost
 
     def _solve(

@@ -19,14 +19,15 @@ from typing import cast
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import Course, LegEnd
 from sphere_nmpc.model.disturbance import after_slope, is_zero, rest_speeds
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, without_momentum
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.path_motion import PathLimits, PathMotion, PathProblem, along_path
 from sphere_nmpc.solver.roll_out import roll_out
@@ -38,21 +39,18 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
 _HORIZON = 2.0
 """Time that is planned ahead, at the pace of the path [s; for the robot of Table 1]."""
-_FASTEST = 1.5
+_MAX_SPEED = 1.5
 """Largest speed of the centre [Rs in the time of a ramp of the rotors to their limit]: errors
 decay along the path, and faster the rotors cannot follow. Table 1 attains 0.62."""
-_WINDOW = 3.0
+_SEARCH_LENGTH = 3.0
 """Length of the path ahead on which the sphere is looked for [Rs]."""
-_TRIES = 8
+_TRIES_PER_PERIOD = 8
 """Other choices that are tried each sample period."""
-_LARGEST_CHOICE = 1.5
+_MAX_CHOICE = 1.5
 """Largest |C| that is drawn: with 1 the contact point turns back at a latitude of 58 degrees."""
-_LEAST_GAIN = 0.01
+_MIN_GAIN = 0.01
 """Time by which another choice has to be faster [s; for the robot of Table 1]."""
-_DEVIATIONS = 3.0
-"""Standard deviations of the estimate by which the sphere may be away from the end of a path that
-has been followed: where poses are noisy it would be corrected again and again."""
-_SAME = 0.05
+_SAME_STATE_SHARE = 0.05
 """Difference from the predicted state that is nothing new, over the tolerance of the path."""
 
 
@@ -92,10 +90,11 @@ class PathFollowing:
             self.reset()
             self._leg = aimed
         place, radius = situation.state[POSITION], situation.constants.shell_radius
-        first, last = self.way - radius, self.way + _WINDOW * radius
+        first, last = self.way - radius, self.way + _SEARCH_LENGTH * radius
         self.way = path.nearest(place, first, last)
         away = float(np.linalg.norm(place - path.places[-1]))
-        near = away <= _DEVIATIONS * situation.place_deviation
+        # Where poses are noisy the end would be corrected again and again.
+        near = away <= EXPECTED_DEVIATIONS * situation.place_deviation
         if near and self.way >= path.length - path.spacing:
             self._end = -math.inf
         return situation.time < self._end
@@ -111,7 +110,7 @@ class PathFollowing:
         rests = plan.leg.end is LegEnd.REST and not plan.stops
         self._end = plan.end if rests else math.inf
         until = min(situation.time + self._settings.period, self._end)
-        return replace(plan, until=until, tolerance=_SAME * path.tolerance)
+        return replace(plan, until=until, tolerance=_SAME_STATE_SHARE * path.tolerance)
 
     def _along(self, path: Path, situation: Situation) -> Plan:
         """Return the plan along the path."""
@@ -123,14 +122,14 @@ class PathFollowing:
             return float(motion.times[-1] + (problem.last - motion.ways[-1]) / pace)
 
         least = (problem.last - self.way) / pace
-        for _ in range(max(1, round(_TRIES * period / self._settings.period))):
-            if cost(best) < least + 2.0 * _LEAST_GAIN * units.time:
+        for _ in range(max(1, round(_TRIES_PER_PERIOD * period / self._settings.period))):
+            if cost(best) < least + 2.0 * _MIN_GAIN * units.time:
                 break
-            turn = self._draw.uniform(-_LARGEST_CHOICE, _LARGEST_CHOICE)
+            turn = self._draw.uniform(-_MAX_CHOICE, _MAX_CHOICE)
             motion = along_path(replace(problem, turn=turn))
             # One that would have to begin slower leads away from the path.
             begins = motion.jump <= best.jump
-            if begins and cost(motion) < cost(best) - _LEAST_GAIN * units.time:
+            if begins and cost(motion) < cost(best) - _MIN_GAIN * units.time:
                 best, self._turn = motion, turn
         plan = self._plan(path, situation, best)
         if is_clear(situation, plan.hold, Margin.KEPT):
@@ -142,7 +141,7 @@ class PathFollowing:
         robot, units, largest = self._robot, self._settings.units, self._robot.max_rotor_speed
         acceleration = min(robot.max_rotor_acceleration, situation.plant.acceleration)
         steady = SteadyRolling.of(situation.constants, largest).speed
-        followed = _FASTEST * situation.constants.shell_radius / (largest / acceleration)
+        followed = _MAX_SPEED * situation.constants.shell_radius / (largest / acceleration)
         pace = min(self._settings.path_speed or steady, steady, followed)
         held = float(np.linalg.norm(situation.momentum))
         limits = PathLimits(max(largest - held, 0.1 * largest), acceleration, pace)

@@ -8,13 +8,13 @@ from enum import Enum
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import Leg
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.solver.roll_out import roll_out
 
 _NOWHERE = Leg(Goal(np.full(6, np.nan), since=math.nan))
@@ -87,9 +87,9 @@ class Plan:
         Predicted states at the knots of `hold`; of one that stops that at its start.
     leg : Leg
         Leg that it ends at, whose goal is the member at which it ends, since the arrival; nan
-        if not told.
+        if not known.
     error : float
-        Predicted terminal error [-], inf where it is not finite, nan where it is not told. Of a
+        Predicted terminal error [-], inf where it is not finite, nan where it is not known. Of a
         minimum-time problem it is the sum of the absolute residuals, else the norm in R^6.
     clearance : float
         Clearance that it is certified to keep from what is on the floor [m], infinite where
@@ -125,7 +125,7 @@ class Plan:
 
     @property
     def end(self) -> float:
-        """Time of its arrival at the end of the leg [s]; nan if not told."""
+        """Time of its arrival at the end of the leg [s]; nan if not known."""
         return self.leg.goal.since
 
     @property
@@ -135,7 +135,7 @@ class Plan:
 
     @property
     def arrival(self) -> float:
-        """Time of the arrival at the goal of the course that is aimed at [s]; nan if not told."""
+        """Time of the arrival at the goal of the course that is aimed at [s]; nan if not known."""
         return self.leg.goal.since + self.leg.time_left
 
     @property
@@ -156,7 +156,7 @@ class Plan:
 
     @property
     def message(self) -> str:
-        """What it does, or why it does no more; empty if not told."""
+        """What it does, or why it does no more; empty if not known."""
         planned = [text for kind, text, _ in self.conditions if kind is Kind.PLANNED]
         return planned[0] if planned else ""
 

@@ -4,11 +4,11 @@
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.disturbance import Disturbance, is_zero, rest_speeds, speeds_at_rest
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 
@@ -71,5 +71,5 @@ def stop(situation: Situation, robot: RobotParameters, message: str) -> Plan:
 
 
 def _plan(situation: Situation, hold: FirstOrderHold, message: str, status: PlanStatus) -> Plan:
-    told = (Condition(Kind.PLANNED, message),)
-    return Plan(status, hold, situation.state[None, :], conditions=told)
+    conditions = (Condition(Kind.PLANNED, message),)
+    return Plan(status, hold, situation.state[None, :], conditions=conditions)

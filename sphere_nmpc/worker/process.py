@@ -10,19 +10,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import Child, module_command
+from sphere_nmpc.process.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.process.child import Child, module_command
 from sphere_nmpc.worker.contract import Reply, Result, Task
 
-_MOST_PENDING = 8
+_MAX_PENDING = 8
 """Tasks that may be pending."""
-_MOST_BYTES = 150_000
-"""Their bytes: what a socket of Linux takes in any case, so that sending never blocks; a
+_MAX_PENDING_BYTES = 150_000
+"""Bytes of these tasks: what a socket of Linux takes in any case, so that sending never blocks; a
 transition has some 60 000 at 1 kHz."""
-_PATIENCE = 3.0
+_RESULT_TIMEOUT = 3.0
 """Time without a result after which a worker that has a task is replaced [s]: a search takes a
 tenth of it at most. Processor time where it waits for processor or disk, otherwise wall time."""
-_FIRST_PATIENCE = 20.0
+_FIRST_RESULT_TIMEOUT = 20.0
 """Time without its first result after which a worker is replaced [s]: it has to be loaded."""
 _RESTART_EVERY = 1.0
 """Shortest wall time between two starts of the process [s]."""
@@ -68,9 +68,9 @@ class WorkerProcess:
             return reply
         self._restart()
         child = self._child
-        full = len(self._pending) >= _MOST_PENDING
+        full = len(self._pending) >= _MAX_PENDING
         size = len(message.content)
-        if child is None or full or sum(self._sizes) + size > _MOST_BYTES:
+        if child is None or full or sum(self._sizes) + size > _MAX_PENDING_BYTES:
             reply.error = "the worker has ended" if child is None else "the worker is busy"
             return reply
         if not self._pending:
@@ -96,7 +96,7 @@ class WorkerProcess:
         try:
             while self._pending:
                 result, error = _answer(child.channel)
-                self._heard, self._patience = time.monotonic(), _PATIENCE
+                self._heard, self._patience = time.monotonic(), _RESULT_TIMEOUT
                 self._used = None
                 reply, _ = self._pending.popleft(), self._sizes.popleft()
                 reply.result, reply.error, reply.ready = result, error, not error
@@ -121,7 +121,7 @@ class WorkerProcess:
     def _start(self) -> None:
         """Start a process; it ends when the other end of its channel is closed."""
         self._started = self._heard = time.monotonic()
-        self._patience = _FIRST_PATIENCE
+        self._patience = _FIRST_RESULT_TIMEOUT
         self._used = None
         try:
             command = module_command("sphere_nmpc.worker.serve")

@@ -13,13 +13,13 @@ from functools import partial
 from importlib import import_module
 from typing import NoReturn
 
-from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import END_SIGNALS, NICENESS
-from sphere_nmpc.foreign_code import called
-from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.foreign.code import called
+from sphere_nmpc.process.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.process.child import END_SIGNALS, NICENESS
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.worker.contract import Store
 
-_USED = ("sphere_nmpc.strategy.time_optimal.background", "sphere_nmpc.estimation.estimator")
+_USED = ("sphere_nmpc.strategy.time_optimal.search_task", "sphere_nmpc.estimation.estimator")
 """Modules of the tasks, loaded before the first of them arrives."""
 
 

@@ -27,9 +27,9 @@ import casadi as ca
 import numpy as np
 
 import sphere_sim
-from sphere_nmpc.channel import Channel, ChannelEndError, encoded
-from sphere_nmpc.child import Child, python_command
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
+from sphere_nmpc.process.channel import Channel, ChannelEndError, encoded
+from sphere_nmpc.process.child import Child, python_command
 from sphere_sim.benchmark.problem import (
     HORIZON,
     INPUT_WEIGHT,

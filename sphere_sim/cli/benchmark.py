@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.library_threads import ONE_EACH
+from sphere_nmpc.process.library_threads import ONE_EACH
 from sphere_sim.output.arguments import not_negative, positive, whole
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import prepare_folder, write_atomically

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.errors import InvalidInputError, printable_line, shown
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.mounting import FixedFrames
 from sphere_nmpc.estimation.odometry import Odometry
-from sphere_nmpc.foreign_text import printable_line, shown
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS, counted, quantities
@@ -25,6 +24,7 @@ from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, Schedu
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry, estimate_table
 from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.evaluation.sensor_check import FAIL, WARN, Finding, Sensor, check_sensors
+from sphere_sim.evaluation.series import Series
 from sphere_sim.output.arguments import number
 from sphere_sim.output.files import prepare_folder, printable
 from sphere_sim.output.round_numbers import length
@@ -120,7 +120,7 @@ def _test(
 
 
 def _imu_settings(texts: Mapping[str, str], frame: str, namespace: str) -> ImuSettings:
-    """Return those of an IMU, mounted where a description of the robot has its frame."""
+    """Return the settings of an IMU, mounted where a description of the robot has its frame."""
     imu = with_parameters(ImuSettings(), texts, "imu.")
     node = with_parameters(OdometryNodeSettings(), texts)
     if not node.robot_description:
@@ -146,8 +146,8 @@ def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
     settings = with_parameters(OdometryNodeSettings(), texts)
     frame = with_parameters(FrameSettings(), texts).world_frame
     events, references = bag.events()
-    if "initial_state" not in texts and len(references.get(bag.reference, [()])[0]):
-        start = references[bag.reference][1][0]
+    if "initial_state" not in texts and references.get(bag.reference):
+        start = references[bag.reference].values[0]
         settings = replace(settings, initial_state=tuple(start.tolist()))
         bag.messages.notes.append(f"initial_state is the first pose of {bag.reference}")
     robot = with_parameters(RobotParameters(), texts, "robot.")
@@ -166,11 +166,9 @@ def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
         raise BagError(bag.messages.path, f"no pose in {events[-1][0]:.1f} s: {why}")
     table = estimate_table(followed.estimates)
     write_csv(table, out)
-    estimated = without_sign_jumps(np.column_stack([one.pose for one in followed.estimates]).T)
-    compared = {
-        topic: (times, poses, estimate_errors(times, poses, table["time_s"], estimated))
-        for topic, (times, poses) in references.items()
-    }
+    poses = without_sign_jumps(np.array([one.pose for one in followed.estimates]))
+    estimated = Series(table["time_s"], poses)
+    compared = {topic: (one, estimate_errors(one, estimated)) for topic, one in references.items()}
     for line in _report(followed, table, compared):
         print(line)
     save(estimated_poses(followed.estimates, table, compared), out.parent, out.stem)
@@ -180,7 +178,7 @@ def _estimate(bag: SensorBag, texts: Mapping[str, str], out: Path) -> int:
 
 def _report(
     followed: FollowedOdometry, table: Mapping[str, Vector],
-    compared: Mapping[str, tuple[Vector, Vector, Vector]],
+    compared: Mapping[str, tuple[Series, Vector]],
 ) -> Iterator[str]:
     """Yield lines on way, deviations, errors and conditions."""
     odometry, times = followed.odometry, table["time_s"]
@@ -190,7 +188,7 @@ def _report(
            f"{way:.3f} m; {odometry.calibration}")
     yield (f"deviation at the end {length(place)}, heading {math.degrees(heading):.2g} deg, tilt "
            f"{math.degrees(tilt):.2g} deg")
-    for topic, (_, _, errors) in compared.items():
+    for topic, (_, errors) in compared.items():
         known = errors[np.isfinite(errors[:, 0])]
         if len(known):
             rms, end = np.sqrt(np.mean(known**2, axis=0)), np.abs(known[-1])

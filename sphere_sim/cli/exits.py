@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from sphere_nmpc.child import END_SIGNALS
+from sphere_nmpc.process.child import END_SIGNALS
 from sphere_sim.output.error_text import in_words
 
 _EXIT_CODE = 128

@@ -8,15 +8,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from sphere_nmpc.errors import printable_line
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.foreign_text import printable_line
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.identification.bag import read_recorded
 from sphere_sim.identification.identify import Given, Row, identified
-from sphere_sim.identification.robot_file import parameters_of, taken, written
+from sphere_sim.identification.robot_file import written
 from sphere_sim.output.arguments import positive
 from sphere_sim.output.files import printable, write_atomically
+from sphere_sim.recording.node_parameters import file_parameters, with_parameters
 
 _HEAD = """\
 Robot of {bag}, by sphere_nmpc identify: each value with its standard deviation.
@@ -37,10 +38,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     recorded = read_recorded(given.bag, given.namespace, given.pose_topic)
     for note in recorded.notes:
         say(note)
-    known = parameters_of(given.params_file) if given.params_file else recorded.parameters
+    known, node = recorded.parameters, recorded.controller
+    if given.params_file is not None:
+        known = file_parameters(given.params_file, node, f"{node.rpartition('/')[0]}/odometry")
     start = Given(
-        taken(RobotParameters(), "robot.", known), taken(ControllerSettings(), "", known),
-        taken(ImuSettings(), "imu.", known),
+        with_parameters(RobotParameters(), known, "robot."),
+        with_parameters(ControllerSettings(), known),
+        with_parameters(ImuSettings(), known, "imu."),
     )
     found = identified(recorded, start, given.distance, given.tape, say)
     rows = [_cells(row) for row in found.rows]

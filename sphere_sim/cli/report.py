@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 from sphere_sim.output.files import prepare_folder, printable
 from sphere_sim.recording.bag_files import storage_name
 from sphere_sim.recording.run_reader import read_run
@@ -33,9 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Printed first, so that the results are known even if the report cannot be written.
     for one in reported:
         _print_results(one)
-    page = write_report(
-        reported, given.out, csv=given.csv, parquet=given.parquet, animation=given.animation
-    )
+    page = write_report(reported, given.out, csv=given.csv, animation=given.animation)
     print(f"report in {printable(page)}")
     return 0
 
@@ -79,7 +77,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--animation", action="store_true",
                         help="also write an animation (GIF) of each run")
     parser.add_argument("--csv", action="store_true", help="also write the tables as CSV")
-    parser.add_argument("--parquet", action="store_true", help="also write the tables as Parquet")
     return parser.parse_args(arguments)
 
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sphere_nmpc.foreign_file import find_file
-from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.foreign.file import find_file
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.cli.exits import if_interrupted
 from sphere_sim.output.arguments import (

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 from sphere_nmpc.model.state import POSITION
 from sphere_sim.output.arguments import whole
 from sphere_sim.viewer.server import DEFAULT_PORT, announce

@@ -20,11 +20,13 @@ from sphere_nmpc.model.goal import Goal
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
+from sphere_sim.evaluation.series import Series
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import write_atomically
 from sphere_sim.output.round_numbers import length
 from sphere_sim.recording.bag_files import BagError
-from sphere_sim.recording.run import Run, Solves, without_sign_jumps
+from sphere_sim.recording.message_fields import ReportedSolve
+from sphere_sim.recording.run import Run, without_sign_jumps
 from sphere_sim.recording.run_reader import read_run
 from sphere_sim.report.figures.comparison import side_by_side
 from sphere_sim.report.figures.paper import paper_panels
@@ -159,20 +161,17 @@ def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
         *assemble(conditions, plan.scenario, plan.robot), plan.scenario.goal,
         max(_AT_LEAST, float(np.ceil(recorded.times[-1]))), conditions.controller.control_period,
     )
-    tracked = [d for d in trajectory.decisions if d.solved]
-    starts = [decision.plan.hold.start for decision in tracked]
+    tracked = [decision.plan for decision in trajectory.decisions if decision.solved]
+    goal = Series(np.zeros(1), (Goal(plan.scenario.goal),), lasting=True)
+    poses = trajectory.poses
+    solves = (
+        (it.hold.start, ReportedSolve(
+            it.made.solve_time, it.made.cost, it.arrival - it.hold.start, it.status.value
+        )) for it in tracked
+    )
     return Run(
-        name=f"{plan.other_strategy}, computed without ROS",
-        path=Path(),
-        times=trajectory.times, states=without_sign_jumps(trajectory.states),
-        joint_times=trajectory.times, rotor_speeds=trajectory.speeds,
-        rotor_torques=trajectory.torques, goal_times=np.zeros(1),
-        goals=(Goal(plan.scenario.goal),), plans=tuple(trajectory.holds),
-        solves=Solves(
-            np.array(starts),
-            np.array([decision.plan.made.solve_time for decision in tracked]),
-            np.array([decision.plan.made.cost for decision in tracked]),
-            tuple(decision.plan.status.value for decision in tracked),
-            np.array([decision.plan.arrival for decision in tracked]) - np.array(starts),
-        ),
+        dataclasses.replace(poses, values=without_sign_jumps(poses.values)),
+        trajectory.rotor_speeds, trajectory.rotor_torques,
+        f"{plan.other_strategy}, computed without ROS", Path(), goal,
+        Series.of((hold.start, hold) for hold in trajectory.holds), Series.of(solves),
     )

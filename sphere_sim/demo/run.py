@@ -15,8 +15,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from ruamel.yaml import YAML
 
-from sphere_nmpc.child import Child
 from sphere_nmpc.model.state import angle_error, position_error
+from sphere_nmpc.process.child import Child
 from sphere_sim.demo.plan import HOLD, DemoPlan
 from sphere_sim.demo.results import hints_of, write_results
 from sphere_sim.evaluation.metrics import GoalRun

@@ -16,6 +16,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.evaluation.series import RobotSeries, Series
 from sphere_sim.world.disturbances import Push
 from sphere_sim.world.simulator import Simulator
 
@@ -24,17 +25,11 @@ AT_PUSH_SIZE = 11
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
-    """Trajectory of a run, with decisions and commands of the controller.
+class Trajectory(RobotSeries):
+    """True trajectory of a run, with decisions and commands of the controller.
 
     Attributes
     ----------
-    times : ndarray, shape (K,)
-        Times of the samples [s].
-    states : ndarray, shape (K, 6)
-        True states of the plant.
-    speeds, torques : ndarray, shape (K, 2)
-        True rotor speeds [rad/s] and motor torques [N m].
     decisions : list of Decision
         One for each sampling instant.
     holds : list of FirstOrderHold
@@ -44,10 +39,6 @@ class Trajectory:
         without one.
     """
 
-    times: Vector
-    states: Vector
-    speeds: Vector
-    torques: Vector
     decisions: list[Decision]
     holds: list[FirstOrderHold] = field(default_factory=list)
     at_push: Vector = field(default_factory=lambda: np.empty(0))
@@ -114,8 +105,9 @@ def run_closed_loop(
         measured = _next(now + delay, control) - delay
         then = min(_next(now, control), _next(now, output), measured, end)
         simulator.advance_to(min(then, push_at) if now < push_at else then)
-    times, states, speeds, torques = (np.array(column) for column in zip(*rows, strict=True))
-    return Trajectory(times, states, speeds, torques, decisions, holds, at_push)
+    times, *columns = (np.array(column) for column in zip(*rows, strict=True))
+    states, speeds, torques = (Series(times, column) for column in columns)
+    return Trajectory(states, speeds, torques, decisions, holds, at_push)
 
 
 def _next(now: int, period: int) -> int:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind
 
 
 @dataclass

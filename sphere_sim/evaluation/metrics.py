@@ -14,6 +14,7 @@ from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, state_error
 from sphere_nmpc.model.torque import heat_and_energy
+from sphere_sim.evaluation.series import RobotSeries, Series
 
 SETTLED_ERROR = 1e-2
 """A run is settled from the time on from which ||x - x_d|| stays below this [mixed units]."""
@@ -95,24 +96,20 @@ def errors_to(goal: Goal, states: Vector) -> Vector:
     return np.stack(errors, axis=1)
 
 
-def estimate_errors(
-    stamps: Vector, estimates: Vector, times: Vector, states: Vector
-) -> Vector:
-    """Return the errors of estimated states: distance [m] and heading [rad], shape (m, 2).
+def estimate_errors(estimates: Series, poses: Series) -> Vector:
+    """Return the errors of estimated poses: distance [m] and heading [rad], shape (m, 2).
 
-    The estimates, (m, 6), are at `stamps` [s], shape (m,). The true `states`, shape (n, 6), are at
-    ascending `times` [s], with quaternions that do not change their sign from one to the next;
-    they are interpolated, and errors outside of them are nan. The error of the heading is the
-    vertical component of the rotation vector that turns the true orientation into the estimated
-    one, in the world frame.
+    The true poses have quaternions that do not change their sign from one to the next; they are
+    interpolated, and errors outside of them are nan. The error of the heading is the vertical
+    component of the rotation vector that turns the true orientation into the estimated one, in the
+    world frame.
     """
-    true = np.stack([np.interp(stamps, times, column, left=math.nan, right=math.nan)
-                     for column in states.T], axis=1)
+    true = poses.interpolated(estimates.times, math.nan)
     turns = rotation.products(
-        estimates[:, QUATERNION].T, rotation.conjugate(true[:, QUATERNION]).T
+        estimates.values[:, QUATERNION].T, rotation.conjugate(true[:, QUATERNION]).T
     ).T
     headings = np.array([rotation.logarithm(turn)[2] for turn in turns])
-    return np.column_stack((position_errors(estimates, true), headings))
+    return np.column_stack((position_errors(estimates.values, true), headings))
 
 
 def settling_index(errors: Vector, tolerance: float = SETTLED_ERROR) -> int | None:
@@ -156,7 +153,7 @@ class GoalRun:
         self.state: Vector = np.full(goal.shape, math.nan)
         """The newest state."""
         self.error = math.nan
-        """Its ||x - x_d|| [mixed units]."""
+        """Error ||x - x_d|| [mixed units]."""
         self._hold = hold
         self._inside_since: float | None = None
 
@@ -180,26 +177,23 @@ class GoalRun:
         return since
 
 
-def measure(
-    times: Vector, states: Vector, goal: Goal, joint_times: Vector, rotor_speeds: Vector,
-    rotor_torques: Vector, solve_times: Vector,
-) -> Metrics:
+def measure(run: RobotSeries, goal: Goal, solve_times: Vector) -> Metrics:
     """Return the metrics of a run towards one goal that does not move.
 
-    `states`, shape (n, 6), are at `times` since the goal was set [s]. Rotor speeds [rad/s] and
-    torques [N m], shape (m, 2), are at times of their own, the solve times [s], (k,), of any.
+    Times are those since the goal was set; the solve times [s], (k,), are in any order.
     """
+    speeds, torques = run.rotor_speeds.values, run.rotor_torques.values
     heat, energy = heat_and_energy(
-        np.diff(joint_times), rotor_speeds, rotor_torques[:-1], rotor_torques[1:]
+        np.diff(run.rotor_speeds.times), speeds, torques[:-1], torques[1:]
     ).tolist()
-    errors = errors_to(goal, states)
-    stay = stay_below(times, errors[:, 0])
+    errors = errors_to(goal, run.states)
+    stay = stay_below(run.times, errors[:, 0])
     final_error, final_distance, final_angle = errors[-1].tolist()
     return Metrics(
         settled=stay is not None, settle_time_s=math.nan if stay is None else stay.since,
         final_error=final_error, final_position_error_m=final_distance,
         final_orientation_error_rad=final_angle,
-        max_rotor_speed=_peak(rotor_speeds), max_rotor_torque_nm=_peak(rotor_torques),
+        max_rotor_speed=_peak(speeds), max_rotor_torque_nm=_peak(torques),
         heat=heat, energy_j=energy,
         solve_ms_p50=_percentile(solve_times, 50.0), solve_ms_p99=_percentile(solve_times, 99.0),
     )

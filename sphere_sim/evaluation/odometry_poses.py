@@ -14,6 +14,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_sim.evaluation.metrics import estimate_errors
+from sphere_sim.evaluation.series import Series
 from sphere_sim.world.imu_sensor import ImuReading, ImuSensor
 from sphere_sim.world.simulator import Simulator
 
@@ -54,6 +55,7 @@ class OdometryPoses:
         found = self()
         if not found:
             return math.nan, math.nan
-        at, true = np.zeros(1), self._simulator.plant.state
-        distance, heading = estimate_errors(at, found[-1][1][None], at, true[None])[0]
+        now, true = np.zeros(1), self._simulator.plant.state
+        estimate = Series(now, found[-1][1][None])
+        distance, heading = estimate_errors(estimate, Series(now, true[None]))[0]
         return float(distance), abs(math.degrees(heading))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.imu import GRAVITY_REMOVED, ImuSettings, convention_of
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import QUATERNION, Vector
@@ -31,15 +31,6 @@ noise: the first is a tenth of a degree a second, the second an inclination by t
 _SCATTERS = 8.0
 """Standard deviations of the mean by which one may differ at rest [-]; noise that a device filters
 is larger in a mean than its readings show."""
-_NO_GRAVITY = 0.8
-"""Norm of the specific force at rest [m/s^2] below which gravity has been removed."""
-_CONVENTIONS = (
-    (0.0, _NO_GRAVITY, "gravity removed"), (_NO_GRAVITY, 1.2, "in g"), (31.5, 32.9, "in ft/s^2"),
-    (950.0, 992.0, "in cm/s^2"), (992.0, 1050.0, "in mg"), (9.4e3, 1.02e4, "in mm/s^2"),
-    (18.6, 20.6, "gravity added twice"),
-    *((0.97 * counts, 1.03 * counts, "in raw counts") for counts in (2048, 4096, 8192, 16384)),
-)
-"""Norms of the specific force at rest from and to which it is given in another convention."""
 _NOISIER, _MUCH_NOISIER = 3.0, 20.0
 """Noise or bias over what the settings say from which they are corrected, and from which a unit is
 wrong [-]: rad are 57 deg."""
@@ -188,7 +179,7 @@ def _inertial(imu: Sensor, pose: Sensor | None, settings: ImuSettings) -> Iterat
     yield _gravity(norm, settings)
     if not moved.any():
         mean = readings.mean(axis=0)
-        if norm >= _NO_GRAVITY:
+        if convention_of(norm) != GRAVITY_REMOVED:
             yield _vertical(settings.turn @ mean[3:] / np.linalg.norm(mean[3:]), pose)
         yield from _errors(mean, blocks, settings)
 
@@ -198,10 +189,9 @@ def _gravity(norm: float, settings: ImuSettings) -> Finding:
     off = abs(norm - GRAVITY)
     allowed = 4.0 * (settings.accelerometer_bias + GRAVITY * settings.accelerometer_scale)
     given = f"{norm:.4g}, expected {GRAVITY:.2f} m/s^2"
-    known = [(least <= norm < most, FAIL, f"{given}: {what}")
-             for least, most, what in _CONVENTIONS]
+    other = convention_of(norm)
     return _first("specific force", (
-        *known,
+        (bool(other), FAIL, f"{given}: {other}"),
         (off > allowed, FAIL if off > 0.3 * GRAVITY else WARN, f"{given} +- {allowed:.2g} by "
          "imu.accelerometer_bias and imu.accelerometer_scale"),
     ), f"{norm:.3f} m/s^2")

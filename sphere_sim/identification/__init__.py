@@ -1,3 +1,3 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a robot from a recording of its motion; imports nothing, so that any part may."""
+"""Parameters of a robot from a recording of its motion."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sphere_nmpc.estimation.motion import followed
 from sphere_nmpc.model.first_order_hold import SAME, FirstOrderHold
 from sphere_nmpc.model.state import Vector
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.fitting import fitted
 
 _BEYOND = 1.02
@@ -51,7 +52,7 @@ class Commands:
 
     @classmethod
     def of_holds(cls, holds: Sequence[FirstOrderHold]) -> "Commands":
-        """Return those of trajectories, each of which replaces the one before from its start."""
+        """Return the speeds of trajectories, each of which replaces the one before it."""
         times, speeds = list[float](), list[Vector]()
         order = sorted(holds, key=lambda hold: hold.start)
         for i, hold in enumerate(order):
@@ -64,15 +65,16 @@ class Commands:
         return cls(np.array(times), np.array(speeds), np.array([[times[0], times[-1]]]))
 
     @classmethod
-    def of_speeds(cls, times: Vector, speeds: Vector) -> "Commands":
-        """Return those of messages with speeds at times [s], held until the next one."""
+    def of_speeds(cls, given: Series) -> "Commands":
+        """Return the speeds of messages, held until the next one."""
+        times = given.times
         ends = np.column_stack((times, np.append(times[1:], times[-1] + _HELD)))
         ends[:, 1] = np.minimum(ends[:, 1], times + _HELD)
-        held = np.repeat(speeds, 2, axis=0)
+        held = np.repeat(given.values, 2, axis=0)
         return cls(np.append(np.repeat(times, 2)[1:], times[-1] + _HELD), held, ends)
 
     def simplified(self) -> "Commands":
-        """Return them without ends between pieces that are one."""
+        """Return the speeds without ends between pieces that are one."""
         kept = np.ones(self.times.size, dtype=bool)
         same = np.all(self.speeds[1:-1] == self.speeds[:-2], axis=1)
         kept[1:-1] = ~(same & np.all(self.speeds[1:-1] == self.speeds[2:], axis=1))
@@ -103,16 +105,15 @@ class Drives:
     left: float
 
 
-def identified_drives(
-    commands: Commands, times: Vector, speeds: Vector
-) -> Drives | None:
-    """Return what rotor speeds (N, 2) [rad/s] at times [s] show; None where they do not follow."""
-    commands = commands.simplified()
+def identified_drives(commands: Commands, measured: Series) -> Drives | None:
+    """Return what measured rotor speeds [rad/s] show; None where they do not follow."""
+    commands, times = commands.simplified(), measured.times
     place = np.searchsorted(commands.ends[:, 0], times, side="right") - 1
     inside = (place >= 0) & (times <= commands.ends[np.maximum(place, 0), 1])
-    if np.sum(inside) < _FEWEST or not np.ptp(speeds[inside], axis=0).any():
+    beside = measured.where(inside)
+    times, speeds = beside.times, beside.values
+    if len(beside) < _FEWEST or not np.ptp(speeds, axis=0).any():
         return None
-    times, speeds = times[inside], speeds[inside]
     groups = np.tile(((times - times[0]) / _GROUP).astype(np.intp), 2)
     first = np.concatenate((commands.times[:1], commands.times))
     largest = float(np.max(np.abs(commands.speeds)))

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.errors import Description, InvalidInputError, InvalidParameterError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -30,7 +29,7 @@ from sphere_sim.identification.robot_file import (
     with_constants,
 )
 from sphere_sim.identification.rolled_radius import rolled_radius
-from sphere_sim.identification.rolling import OFFSET, BatchFit, Estimate, Rolling
+from sphere_sim.identification.rolling import OFFSET, BatchFit, Estimate
 
 _TRACK_STEP = 5e-3
 """Spacing of the motion beside which an IMU is read [s; for the robot of Table 1]."""
@@ -130,10 +129,10 @@ def identified(
     has not what is needed.
     """
     found = Identified(given.robot)
-    late, fastest = 0.0, float(np.max(np.abs(recorded.speeds), initial=0.0))
+    late, fastest = 0.0, float(np.max(np.abs(recorded.rotor_speeds.values), initial=0.0))
     if distance is not None:
         _of_distance(found, recorded, distance, tape)
-    elif not recorded.joint_times.size:
+    elif not recorded.rotor_speeds:
         raise InvalidInputError(
             "rotor speeds", Description("none"),
             "those on joint_states [rad/s], from which the motion follows",
@@ -153,9 +152,9 @@ def identified(
             "those of a camera or motion capture, or imu",
         )
     drives, why = None, "no commands in the bag"
-    if recorded.commands is not None and recorded.joint_times.size:
+    if recorded.commands is not None and recorded.rotor_speeds:
         progress("drives")
-        drives = identified_drives(recorded.commands, recorded.joint_times, recorded.speeds)
+        drives = identified_drives(recorded.commands, recorded.rotor_speeds)
         why = "rotor speeds do not follow the commands"
     if drives is not None:
         _of_drives(found, drives, given, late)
@@ -170,9 +169,7 @@ def _of_poses(
     found: Identified, recorded: Recorded, given: Given, progress: Callable[[str], None]
 ) -> float:
     """Add what poses from outside show; return by how much their stamps are late [s]."""
-    fit = BatchFit(
-        Rolling(recorded.times, recorded.poses, recorded.joint_times, recorded.speeds), given.robot
-    )
+    fit = BatchFit(recorded, given.robot)
     count = len(fit.pieces)
     if count < _FEWEST:
         raise InvalidInputError(
@@ -273,10 +270,8 @@ def _of_inside(
     length = EstimatorSettings().of(RobotUnits.of(robot)).longest
     for turn in range(_PASSES):
         progress(f"constants by the odometry: {turn + 1} of {_PASSES}")
-        track = track_of(
-            readings, recorded.joint_times, recorded.speeds, robot, given.imu, length
-        )
-        balance = Balance(track, recorded.joint_times, recorded.speeds, scale)
+        track = track_of(readings, recorded.rotor_speeds, robot, given.imu, length)
+        balance = Balance(track, recorded.rotor_speeds, scale)
         whole = list(range(len(balance.parts)))
         inside = balance.fitted(whole, robot.lumped)
         radius, place = identified_place(readings, inside, given.imu, scale)
@@ -361,7 +356,7 @@ def _of_distance(found: Identified, recorded: Recorded, distance: float, tape: f
     if not recorded.times.size:
         raise InvalidInputError("poses", Description("none"), "those of an odometry")
     height = recorded.height
-    radius, rolled = rolled_radius(recorded.times, recorded.poses[:, :2], height, distance)
+    radius, rolled = rolled_radius(recorded.times, recorded.states[:, :2], height, distance)
     deviation = tape * height / rolled
     found.add("robot.shell_radius", "m", radius, deviation, height,
               f"{distance:g} m measured, {rolled:.4f} m estimated")

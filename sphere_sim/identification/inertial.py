@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import Vector
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.fitting import fitted
 
 Value: TypeAlias = tuple[Vector, Vector]
@@ -74,7 +74,7 @@ class Track:
 
     def rates_at(self, times: Vector) -> Vector:
         """Return the angular velocities at times within the parts [rad/s; body frame]."""
-        return np.column_stack([np.interp(times, self.times, one) for one in self.rates.T])
+        return Series(self.times, self.rates).interpolated(times)
 
     def quaternions_at(self, times: Vector) -> Vector:
         """Return the orientations at times within the parts."""
@@ -121,7 +121,7 @@ class Mounted:
     at_rest: bool
 
     def with_scatter(self, others: Sequence["Mounted"], larger: "Mounted") -> "Mounted":
-        """Return it with deviations at least as large as others show (delete-one jackknife).
+        """Return the mounting, with deviations as large as others show (delete-one jackknife).
 
         Each of the others is from all data but one of as many parts, and that with a `larger`
         radius, by its deviation, adds to the deviation of the place.

@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
-from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.fitting import fitted
 from sphere_sim.identification.inertial import Forces, Readings, Track, Value
 
@@ -42,21 +42,20 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 
 def track_of(
-    readings: Readings, joint_times: Vector, speeds: Vector, robot: RobotParameters,
-    imu: ImuSettings, length: float,
+    readings: Readings, speeds: Series, robot: RobotParameters, imu: ImuSettings, length: float
 ) -> Track:
     """Return the motion by the odometry, in parts of `length` [s]; empty without a calibration."""
     settings = OdometrySettings(radius_deviation=_UNCERTAIN, constants_deviation=_UNCERTAIN)
     # Without a delay, pose and rate are those of one reading; the offset that is found has it.
     odometry = Odometry(settings, replace(imu, delay=0.0), robot)
-    order = np.argsort(np.concatenate((joint_times, readings.times)), kind="stable")
+    order = np.argsort(np.concatenate((speeds.times, readings.times)), kind="stable")
     times, quaternions, rates = list[float](), list[Vector](), list[Vector]()
-    begin = min(float(joint_times[0]), float(readings.times[0]))
+    begin = min(float(speeds.times[0]), float(readings.times[0]))
     for k in order.tolist():
-        if k < joint_times.size:
-            odometry.observe_rotors(joint_times[k] - begin, speeds[k])
+        if k < len(speeds):
+            odometry.observe_rotors(speeds.times[k] - begin, speeds.values[k])
             continue
-        at = k - joint_times.size
+        at = k - len(speeds)
         time = float(readings.times[at]) - begin
         if odometry.observe_imu(time, readings.rates[at], readings.forces[at]):
             found = odometry.estimate
@@ -89,14 +88,13 @@ class Balance:
     would shrink what is left: its deviation is added to those of the constants.
     """
 
-    def __init__(
-        self, track: Track, joint_times: Vector, speeds: Vector, gyro_scale: float
-    ) -> None:
-        self._track, self._joint_times, self._speeds = track, joint_times, speeds
+    def __init__(self, track: Track, speeds: Series, gyro_scale: float) -> None:
+        self._track, self._speeds = track, speeds
         self._scale = gyro_scale
         self._up = rotation.vertical(track.quaternions)
         self._turns = np.moveaxis(rotation.matrix(track.quaternions.T), -1, 0)
-        known = (track.times > joint_times[0] + _EDGE) & (track.times < joint_times[-1] - _EDGE)
+        first, last = speeds.times[[0, -1]]
+        known = (track.times > first + _EDGE) & (track.times < last - _EDGE)
         parts = [np.flatnonzero(known & (track.parts == part)) for part in np.unique(track.parts)]
         self.parts = [one for one in parts if one.size >= _FEWEST]
         """Indices of the estimates in each part."""
@@ -167,8 +165,7 @@ class Balance:
 
     def _about_axes(self, times: Vector) -> Vector:
         """Return the rotor speeds at times as a vector about body axes, shape (N, 3)."""
-        found = [np.interp(times, self._joint_times, column) for column in self._speeds.T]
-        return np.column_stack((*found, np.zeros(times.size)))
+        return np.column_stack((self._speeds.interpolated(times), np.zeros(times.size)))
 
 
 def _unknowns(given: LumpedConstants) -> Vector:

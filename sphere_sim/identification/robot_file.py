@@ -5,19 +5,12 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, open_file
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import quantities
 
-_LARGEST = 1_000_000
-"""Size of the largest file of parameters that is read [bytes]."""
 _STEP = 1e-6
 """Relative step of the differences by lumped constants [-]."""
 CHANGED = ("rotor_axial_inertia", "rotor_transverse_inertia", "shell_inertia", "rotor_offset")
@@ -100,55 +93,6 @@ def _number(value: float | tuple[float, ...]) -> str:
     # YAML 1.1 reads a number without a point as a whole one, or as text.
     mantissa, e, exponent = text.partition("e")
     return f"{mantissa if '.' in mantissa else mantissa + '.0'}{e}{exponent}"
-
-
-def parameters_of(path: Path) -> dict[str, Any]:
-    """Return what a file of parameters gives all nodes or a controller and odometry, by full name.
-
-    `InvalidFileError` is raised where it is none.
-    """
-    import yaml
-
-    with open_file(find_file(path), _LARGEST) as stream:
-        try:
-            whole = yaml.safe_load(stream.read())
-            found: dict[str, Any] = {}
-            for node, entries in whole.items():
-                values = entries["ros__parameters"]
-                if node.split("/")[-1] in ("**", "controller", "odometry"):
-                    _flatten(values, "", found)
-        except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, AttributeError,
-                RecursionError):
-            raise InvalidFileError(
-                str(path), "another content", "parameters of nodes as config/sphere.yaml has them"
-            ) from None
-    return found
-
-
-def _flatten(values: Any, prefix: str, found: dict[str, Any]) -> None:
-    for name, value in values.items():
-        if isinstance(value, dict):
-            _flatten(value, f"{prefix}{name}.", found)
-        else:
-            found[f"{prefix}{name}"] = value
-
-
-def taken(default: Any, prefix: str, values: Mapping[str, Any]) -> Any:
-    """Return settings with the values that are given for them; with a prefix, as ``robot.``."""
-    changes: dict[str, Any] = {}
-    for name in quantities(default):
-        given = values.get(prefix + name)
-        if given is None:
-            continue
-        if isinstance(given, list):
-            given = tuple(float(one) if isinstance(one, int) else one for one in given)
-        elif isinstance(given, int) and isinstance(getattr(default, name), float):
-            given = float(given)
-        changes[name] = given
-    try:
-        return replace(default, **changes)
-    except InvalidParameterError as error:
-        raise InvalidParameterError(prefix + error.name, error.given, error.expected) from None
 
 
 def robot_entries(robot: RobotParameters, notes: Mapping[str, str]) -> dict[str, Entry]:

@@ -4,15 +4,14 @@
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.model.state import Vector
 
 _REST = 0.5
 """Time at both ends in which the sphere has to rest [s]."""
 _STILL = 1e-3
 """Displacement within it up to which the sphere rests [m]."""
-_SHORTEST = 1.0
+_MIN_ROLLED_WAY = 1.0
 """Shortest way [m]: on it a millimetre of the tape is a part in a thousand of the radius."""
 _STRAIGHT = 0.05
 """Largest excess of the length of the path over the distance of its ends [-]."""
@@ -40,9 +39,9 @@ def rolled_radius(
             )
     rolled = float(np.linalg.norm(ends[1] - ends[0]))
     path = float(np.sum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
-    if rolled < _SHORTEST:
+    if rolled < _MIN_ROLLED_WAY:
         given = Description(f"{rolled:.4f} m")
-        raise InvalidInputError("estimated way", given, f"{_SHORTEST:g} m or more")
+        raise InvalidInputError("estimated way", given, f"{_MIN_ROLLED_WAY:g} m or more")
     if path > (1.0 + _STRAIGHT) * rolled:
         raise InvalidInputError(
             "path", Description(f"{path:.4f} m"),

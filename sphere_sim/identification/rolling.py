@@ -25,6 +25,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.solver.roll_out import propagate, roll_out
+from sphere_sim.evaluation.series import RobotSeries
 from sphere_sim.identification.inertial import Track
 
 NAMES = ("shell_radius", "c1", "r1", "r3", "pose_offset")
@@ -48,55 +49,6 @@ _SETTLED = 1e-2
 """Relative change of the noise below which it has converged [-]."""
 _LONGEST_GAP = 0.2
 """Longest time between two rotor speeds that counts as known [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rolling:
-    """Poses and rotor speeds of a recording.
-
-    Attributes
-    ----------
-    times, poses : ndarray, shapes (K,) and (K, 6)
-        Stamps [s], rising, and poses.
-    joint_times, speeds : ndarray, shapes (N,) and (N, 2)
-        Stamps [s], rising, and speeds of the rotors [rad/s], linear between them.
-    """
-
-    times: Vector
-    poses: Vector
-    joint_times: Vector
-    speeds: Vector
-
-    def pieces(self, length: float) -> list[NDArray[np.intp]]:
-        """Return the indices of the poses of each piece of `length` [s]."""
-        first, last = self.joint_times[0], self.joint_times[-1]
-        margin = 2.0 * _OFFSET_DEVIATION
-        number = np.floor((self.times - self.times[0]) / length)
-        known = (self.times > first + margin) & (self.times < last - margin)
-        gaps = np.flatnonzero(np.diff(self.joint_times) > _LONGEST_GAP)
-        found = [np.flatnonzero(known & (number == k)) for k in range(int(number[-1]) + 1)]
-        return [
-            one for one in found if one.size >= _FEWEST and not np.any(
-                (self.joint_times[gaps + 1] > self.times[one[0]] - margin)
-                & (self.joint_times[gaps] < self.times[one[-1]] + margin)
-            )
-        ]
-
-    def between(self, times: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
-        """Return the speeds from the first to the last time, as straight pieces.
-
-        That is their lengths, the speeds at their ends, and which of these are the `times`.
-        """
-        begin, end = np.searchsorted(self.joint_times, times[[0, -1]], side="right")
-        knots = np.unique(np.concatenate((times, self.joint_times[begin:end])))
-        knots = knots[knots <= times[-1]]
-        return np.diff(knots), self.speeds_at(knots), np.searchsorted(knots, times)
-
-    def speeds_at(self, times: Vector) -> Vector:
-        """Return the rotor speeds at times [s]."""
-        return np.column_stack([
-            np.interp(times, self.joint_times, column) for column in self.speeds.T
-        ])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,23 +92,51 @@ class Estimate:
 class BatchFit:
     """Least squares over some pieces of a recording, from the constants of a given robot."""
 
-    def __init__(self, rolling: Rolling, robot: RobotParameters) -> None:
-        self.rolling, self.nominal = rolling, robot.lumped.as_array()
+    def __init__(self, recorded: RobotSeries, robot: RobotParameters) -> None:
+        self._poses, self._speeds = recorded.poses, recorded.rotor_speeds
+        self.nominal = robot.lumped.as_array()
         numbers = EstimatorSettings().of(RobotUnits.of(robot))
         self._step, self.length = numbers.step, numbers.longest
-        self.pieces = rolling.pieces(self.length)
+        self.pieces = self._cut()
+        """Indices of the poses of each piece."""
         self._outlier = numbers.improbable
         self._expected = np.array([
             *numbers.constants, _OFFSET_DEVIATION, *(numbers.tilt,) * 2, *(numbers.imbalance,) * 3
         ])
         self._push = numbers.push
 
+    def _cut(self) -> list[NDArray[np.intp]]:
+        """Return the indices of the poses of each piece, of `length` [s]."""
+        times, turned = self._poses.times, self._speeds.times
+        margin = 2.0 * _OFFSET_DEVIATION
+        number = np.floor((times - times[0]) / self.length)
+        known = (times > turned[0] + margin) & (times < turned[-1] - margin)
+        gaps = np.flatnonzero(np.diff(turned) > _LONGEST_GAP)
+        found = [np.flatnonzero(known & (number == k)) for k in range(int(number[-1]) + 1)]
+        return [
+            one for one in found if one.size >= _FEWEST and not np.any(
+                (turned[gaps + 1] > times[one[0]] - margin)
+                & (turned[gaps] < times[one[-1]] + margin)
+            )
+        ]
+
+    def _inputs(self, times: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
+        """Return the rotor speeds from the first to the last time, as straight pieces.
+
+        That is their lengths, the speeds at their ends, and which of these are the `times`.
+        """
+        turned = self._speeds.times
+        begin, end = np.searchsorted(turned, times[[0, -1]], side="right")
+        knots = np.unique(np.concatenate((times, turned[begin:end])))
+        knots = knots[knots <= times[-1]]
+        return np.diff(knots), self._speeds.interpolated(knots), np.searchsorted(knots, times)
+
     @cached_property
     def given(self) -> Estimate:
         """What is known before: the given robot, and the measured poses."""
         common: Vector = np.concatenate((np.ones(4), np.zeros(6)))
         starts = [
-            np.concatenate((self.rolling.poses[piece[0]], np.zeros(3))) for piece in self.pieces
+            np.concatenate((self._poses.values[piece[0]], np.zeros(3))) for piece in self.pieces
         ]
         return Estimate(
             common, np.diag(self._expected**2), starts, np.zeros(2), np.zeros(_COMMON, dtype=bool)
@@ -193,10 +173,10 @@ class BatchFit:
         found = []
         for number in chosen:
             piece = self.pieces[number]
-            first, last = self.rolling.times[piece[[0, -1]]] + at.common[OFFSET]
+            first, last = self._poses.times[piece[[0, -1]]] + at.common[OFFSET]
             times = np.linspace(first, last - SHORTEST, max(2, round((last - first) / step)))
             both = np.sort(np.concatenate((times, times + SHORTEST)))
-            durations, speeds, places = self.rolling.between(both)
+            durations, speeds, places = self._inputs(both)
             states = roll_out(
                 at.starts[number], speeds, durations, constants, self._step, disturbance
             )[places]
@@ -271,8 +251,8 @@ class BatchFit:
         """Return residuals of the poses of a piece, (K, 5), and their derivatives by unknowns."""
         piece, constants = self.pieces[index], self.constants(common)
         disturbance = Disturbance.from_array(common[_TORQUES])
-        times = self.rolling.times[piece] + common[OFFSET]
-        durations, speeds, places = self.rolling.between(times)
+        times = self._poses.times[piece] + common[OFFSET]
+        durations, speeds, places = self._inputs(times)
         count = piece.size
         by_local = np.empty((count, 5, _LOCAL))
         by_common = np.zeros((count, 5, _COMMON))
@@ -291,7 +271,7 @@ class BatchFit:
                 others[:, :4] += part.by_constants
                 others[:, 4:] += part.by_torques
             states[m] = state
-            residual[m] = error_between(state[POSE], self.rolling.poses[piece[m]])
+            residual[m] = error_between(state[POSE], self._poses.values[piece[m]])
             by_local[m], by_common[m, :, :4] = chain[:5], others[:5, :4] * self.nominal
             by_common[m, :, _TORQUES] = others[:5, 4:]
         rates = self._rates(states, speeds[places], constants, disturbance)

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from importlib.util import find_spec
 
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 
 # Extra of setup.py -> import names it brings, message packages apart.
 EXTRAS = {
@@ -16,7 +16,6 @@ EXTRAS = {
     "study": ("dask", "distributed"),
     "rigid": ("mujoco",),
     "viewer": ("viser",),
-    "report": ("pyarrow",),
     "benchmark": ("casadi",),
 }
 

@@ -8,8 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import SphereNmpcError, printable_line
 
 
 class ResultFolderError(SphereNmpcError):

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.foreign_file import InvalidFileError, open_file, read_file, yaml_texts
-from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.errors import SphereNmpcError, printable_line, shown
+from sphere_nmpc.foreign.file import InvalidFileError, open_file, read_file, yaml_texts
 
 METADATA = "metadata.yaml"
 PARAMETERS_PREFIX = "parameters:"
@@ -52,6 +51,11 @@ class BagError(SphereNmpcError):
 def full_topic_name(name: str) -> str:
     """Return a name with its leading slash, which some writers of bags leave out."""
     return f"/{name.strip('/')}"
+
+
+def last_part(topic: str) -> str:
+    """Return the last part of a full name."""
+    return topic.rpartition("/")[2]
 
 
 def one_line_reason(error: Exception) -> str:

@@ -41,6 +41,10 @@ class ReportedSolve:
     plan: str
 
 
+NO_SOLVE = ReportedSolve(math.nan, math.nan, math.nan, "")
+"""What is known before the first solve."""
+
+
 def reported_solve(values: Mapping[str, str]) -> ReportedSolve:
     """Return the solve that the key-value pairs of a status message report."""
     return ReportedSolve(

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sphere_nmpc.foreign_file import InvalidFileError
-from sphere_nmpc.foreign_text import cut, shown
+from sphere_nmpc.errors import cut, shown
+from sphere_nmpc.foreign.file import InvalidFileError
 from sphere_sim.recording.bag_files import METADATA, OF_ROS_1, BagError, find_files
 from sphere_sim.recording.storage_reader import StorageReader
 
@@ -42,6 +42,10 @@ class Messages:
     notes: list[str] = field(default_factory=list)
     unread: str = ""
     truncated: bool = False
+
+    def recorded(self, msgtype: str) -> list[str]:
+        """Return the topics with messages of a type, in alphabetical order."""
+        return sorted(topic for topic in self.decoded if self.types[topic] == msgtype)
 
     def incomplete(self, missing: str) -> str:
         """Return the reason of an error for `missing` content that may have been recorded."""

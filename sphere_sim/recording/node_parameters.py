@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_file import InvalidFileError, find_file, read_file, yaml_texts
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidParameterError, shown
+from sphere_nmpc.foreign.file import InvalidFileError, find_file, read_file, yaml_texts
 from sphere_nmpc.quantity import parsed, quantities
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, object_of
 
@@ -22,11 +21,11 @@ _WILD = {"**": "(/[^/]+)*", "*": "/[^/]+"}
 """Expressions for what stands for any namespaces and for any name."""
 
 
-def file_parameters(path: Path, node: str) -> dict[str, str]:
-    """Return the texts of the parameters that a file has for a node, of a full name, by name.
+def file_parameters(path: Path, *nodes: str) -> dict[str, str]:
+    """Return the texts of the parameters that a file has for nodes, of full names, by name.
 
-    As for the node, the last section that has one counts, however many wildcards its name has.
-    `InvalidFileError` is raised where it has none for that node.
+    As for a node, the last section that has one counts, however many wildcards its name has.
+    `InvalidFileError` is raised where it has none for any of the nodes.
     """
     try:
         sections = list(_sections(yaml_texts(read_file(find_file(path), _MOST_TEXT), _DEEPEST)))
@@ -34,12 +33,13 @@ def file_parameters(path: Path, node: str) -> dict[str, str]:
         raise
     except Exception as error:  # the parser raises many kinds for a broken file
         raise InvalidFileError(str(path), shown(error), "a YAML file of parameters") from None
-    fitting = [values for name, values in sections if re.fullmatch(_expression(name), node)]
+    fitting = [values for name, values in sections
+               if any(re.fullmatch(_expression(name), node) for node in nodes)]
     if not fitting:
         named = ", ".join(name.lstrip("/") for name, _ in sections)
         raise InvalidFileError(
             str(path), f"sections {named}" if named else f"no section with {_KEY}",
-            f"one that is for {node}, such as /**/{node.rpartition('/')[2]}",
+            f"one that is for {nodes[0]}, such as /**/{nodes[0].rpartition('/')[2]}",
         )
     return {name: text for values in fitting for name, text in _flat(values)}
 

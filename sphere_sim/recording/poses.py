@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.model.state import POSE_SIZE, QUATERNION, Vector, are_states
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_sim.evaluation.series import Series
 from sphere_sim.recording.bag_clock import (
     OTHER_CLOCK,
     TOLERANCE,
@@ -21,8 +22,8 @@ _Stamps = NDArray[np.int64]
 _TOLERANCE = round(TOLERANCE * NANOSECONDS)
 
 
-def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector]:
-    """Return the clock, and times [s], ascending, and states (n, 6) of the longest run.
+def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Series]:
+    """Return the clock, and the poses of the longest run.
 
     Messages of other runs are removed.
     """
@@ -44,8 +45,8 @@ def read_poses(messages: Messages, topic: str) -> tuple[BagClock, Vector, Vector
     clock = BagClock([entries[i][0] for i in run], stamps)
     states[:, QUATERNION] /= np.linalg.norm(states[:, QUATERNION], axis=1, keepdims=True)
     # While simulated time is paused, the simulator repeats the pose of that instant.
-    times, first = np.unique([clock.time_of_stamp(stamp) for stamp in stamps], return_index=True)
-    return clock, times, states[first]
+    times = np.array([clock.time_of_stamp(stamp) for stamp in stamps])
+    return clock, Series.of_numbers(times, states)
 
 
 def read_series(

@@ -2,19 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`."""
 
-import dataclasses
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
+from sphere_nmpc.errors import InvalidInputError, InvalidParameterError, cut, shown
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
-from sphere_nmpc.foreign_text import cut, shown
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -23,9 +22,10 @@ from sphere_nmpc.quantity import LARGEST, NANOSECONDS, known, stamp_text
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_sim.evaluation.metrics import estimate_errors
+from sphere_sim.evaluation.series import Series
 from sphere_sim.output.files import printable
 from sphere_sim.recording.bag_clock import BagClock, stand_still
-from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, BagError, object_of, storage_name
+from sphere_sim.recording.bag_files import BagError, storage_name
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
     CONTACTS,
@@ -36,16 +36,9 @@ from sphere_sim.recording.message_fields import (
     reported_solve,
 )
 from sphere_sim.recording.messages import Messages, read_messages
+from sphere_sim.recording.node_parameters import bag_parameters, with_parameters
 from sphere_sim.recording.poses import read_poses
-from sphere_sim.recording.run import (
-    Estimates,
-    Floors,
-    Momentum,
-    Run,
-    Solves,
-    setup_text,
-    without_sign_jumps,
-)
+from sphere_sim.recording.run import Run, setup_text, without_sign_jumps
 from sphere_sim.recording.topic_roles import Robot, find_robot, is_read
 
 _LONGEST_STRATEGY = 100
@@ -80,35 +73,31 @@ def read_run(
     """
     messages = read_messages(path, is_read)
     robot = find_robot(messages, namespace, pose_topic)
-    clock, times, states = read_poses(messages, robot.pose)
+    clock, poses = read_poses(messages, robot.pose)
     reader = TopicReader(messages, robot, clock)
-    joint_times, speeds, torques = reader.joint_states()
-    goal_times, goals = reader.goals(times)
-    known_parameters = _recorded_parameters(messages.custom_data, robot.controller)
+    speeds, torques = reader.joint_states()
+    goals = reader.goals(poses.times)
+    known_parameters = bag_parameters(messages.custom_data, robot.controller)
     parameters = _recorded_robot(known_parameters)
-    solves, plans, momentum = reader.solves(), reader.plans(), reader.momentum(parameters)
-    floors, states = reader.floors(), without_sign_jumps(states)
-    estimates = reader.estimates(robot.estimate, times, states)
-    reader.tell_undated()
+    solves, plans = reader.solves(), reader.plans()
+    momentum, disturbances = reader.momentum(parameters)
+    pushes, floors = reader.pushes(), reader.floors()
+    poses = replace(poses, values=without_sign_jumps(poses.values))
+    estimates = reader.estimates(robot.estimate)
+    errors = estimate_errors(estimates, poses)
+    reader.note_undated()
     return Run(
-        printable(name or Path(storage_name(path)).stem), path, times, states,
-        joint_times, speeds, torques, goal_times, goals, plans, solves, momentum, floors,
-        parameters, reader.setup(known_parameters, parameters), tuple(messages.notes), estimates,
+        poses, speeds, torques, printable(name or Path(storage_name(path)).stem), path, goals,
+        plans, solves, momentum, disturbances, pushes, floors, reader.planned_clearances(),
+        reader.contacts(), estimates, replace(estimates, values=errors), parameters,
+        reader.setup(known_parameters, parameters), tuple(messages.notes),
     )
 
 
-def _recorded_parameters(custom_data: dict[str, str], node: str) -> dict[str, Any]:
-    """Return the recorded parameters of a node; empty where the bag does not have them."""
-    return object_of(custom_data.get(f"{PARAMETERS_PREFIX}{node}", ""))
-
-
-def _recorded_robot(values: dict[str, Any]) -> RobotParameters:
+def _recorded_robot(texts: Mapping[str, str]) -> RobotParameters:
     """Return the robot that the parameters ``robot.*`` describe; the default one if not valid."""
-    names = [entry.name for entry in dataclasses.fields(RobotParameters)]
     try:
-        return RobotParameters(
-            **{name: values[f"robot.{name}"] for name in names if f"robot.{name}" in values}
-        )
+        return with_parameters(RobotParameters(), texts, "robot.")
     except InvalidParameterError:
         return RobotParameters()
 
@@ -122,21 +111,21 @@ class TopicReader:
         self._joint_states, self._trajectory = robot.joint_states, robot.rotor_trajectory
         self._undated: Counter[str] = Counter()
 
-    def setup(self, parameters: dict[str, Any], robot: RobotParameters) -> str:
+    def setup(self, parameters: Mapping[str, str], robot: RobotParameters) -> str:
         """Return strategy, robot and plant in words, given the controller's parameters."""
         used = [values.get("strategy", "") for _, values in self._statuses]
         strategies = list(dict.fromkeys(filter(None, used))) or [parameters.get("strategy", "")]
         simulator = f"{self._robot}/simulator"
-        plant = _recorded_parameters(self._messages.custom_data, simulator).get("plant", "")
+        plant = bag_parameters(self._messages.custom_data, simulator).get("plant", "")
         radius, speed = (
             getattr(robot, name) if f"robot.{name}" in parameters else math.nan
             for name in ("shell_radius", "max_rotor_speed")
         )
-        strategy = cut(", then ".join(map(str, strategies)), _LONGEST_STRATEGY)
-        return setup_text(strategy, radius, speed, cut(str(plant), _LONGEST_STRATEGY))
+        strategy = cut(", then ".join(strategies), _LONGEST_STRATEGY)
+        return setup_text(strategy, radius, speed, cut(plant, _LONGEST_STRATEGY))
 
-    def joint_states(self) -> tuple[Vector, Vector, Vector]:
-        """Return times [s], rotor speeds (m, 2) [rad/s] and torques (m, 2) [N m]."""
+    def joint_states(self) -> tuple[Series, Series]:
+        """Return the rotor speeds [rad/s] and torques [N m]."""
         topic = self._joint_states
         entries = self._messages.decoded.get(topic, [])
         # Other joints, such as grippers, may use the same topic ...
@@ -157,28 +146,20 @@ class TopicReader:
                 f"{topic}: {len(found) - len(moving)} of {len(found)} messages have no velocities"
             )
         used = moving or found
-        values: Vector = np.array(
-            [list(map(known, rotors[1:].ravel().tolist())) for _, _, rotors in used]
-        ).reshape(-1, 4)
-        times, first = np.unique(self._times(topic, used, values), return_index=True)
-        return times, values[first, :2], values[first, 2:]
+        values = [list(map(known, rotors[1:].ravel().tolist())) for _, _, rotors in used]
+        both = self._series(topic, used, values, 4)
+        speeds, torques = np.split(both.values, 2, axis=1)
+        return Series(both.times, speeds), Series(both.times, torques)
 
-    def estimates(self, topic: str, times: Vector, states: Vector) -> Estimates:
-        """Return the estimates of poses on a topic, with their errors from the true states.
-
-        These have shape (n, 6), at ascending times [s]; the topic is empty without estimates.
-        """
+    def estimates(self, topic: str) -> Series:
+        """Return the estimates of poses on a topic, which is empty without them."""
         entries = self._messages.decoded.get(topic, [])
         if topic and not entries:
             self._notes.append(f"{topic} is missing; no estimates of the poses")
-        found: Vector = np.array([message.state for _, message in entries]).reshape(-1, POSE_SIZE)
-        stamps, first = np.unique(self._times(topic, entries, found), return_index=True)
-        poses = found[first]
-        valid = are_states(poses)
-        stamps, poses = stamps[valid], poses[valid]
-        return Estimates(stamps, poses, estimate_errors(stamps, poses, times, states))
+        found = self._series(topic, entries, [it.state for _, it in entries], POSE_SIZE)
+        return found.where(are_states(found.values))
 
-    def plans(self) -> tuple[FirstOrderHold, ...]:
+    def plans(self) -> Series:
         """Return the plans that the controller sent, knot times in the run's time [s]."""
         topic = self._trajectory
         entries = self._messages.decoded.get(topic, [])
@@ -196,10 +177,10 @@ class TopicReader:
         if len(plans) < len(entries):
             count = len(entries) - len(plans)
             self._notes.append(f"{topic}: {count} invalid trajectories were ignored")
-        return tuple(plans)
+        return Series.of((plan.start, plan) for plan in plans)
 
-    def goals(self, poses: Vector) -> tuple[Vector, tuple[Goal, ...]]:
-        """Return the times at which goals came into force [s], ascending, and the goals.
+    def goals(self, poses: Vector) -> Series:
+        """Return the goals, from when they came into force.
 
         A goal demands what the statuses say that name its message, or else a whole pose. Goals
         that were in force at none of the `poses`, times [s], are ignored.
@@ -212,7 +193,7 @@ class TopicReader:
             self._notes.append(
                 f"{self._robot}/goal_pose and active_goal are missing; no errors can be computed"
             )
-            return np.empty(0), ()
+            return Series(lasting=True)
         if len(accepted) > 1:
             self._notes.append(f"{', '.join(accepted[1:])}: ignored, goals are those of {topic}")
         if not accepted:
@@ -246,7 +227,7 @@ class TopicReader:
 
     def _within_run(
         self, entries: list[tuple[float, Goal]], topic: str, poses: Vector
-    ) -> tuple[Vector, tuple[Goal, ...]]:
+    ) -> Series:
         """Return the goals that were in force at any pose."""
         end = float(poses[-1])
         late = ", ".join(f"{time:.6g}" for time, _ in entries if time > end)
@@ -257,32 +238,32 @@ class TopicReader:
                 "no goal falls inside the recording, nothing to measure"
             )
             self._notes.append(f"{topic}: goal at {late} s, poses from 0 to {end:.6g} s: {result}")
-        times = np.array([time for time, _ in entries])
+        given = Series.of(entries, lasting=True)
         # The first pose of each goal: where two goals share it, only the second was in force.
-        kept = np.diff(np.searchsorted(poses, times), append=len(poses)) > 0
-        during = np.count_nonzero(~kept & (times >= 0.0))
+        kept = np.diff(np.searchsorted(poses, given.times), append=len(poses)) > 0
+        during = np.count_nonzero(~kept & (given.times >= 0.0))
         if during:
             self._notes.append(
                 f"{topic}: {during} goals were replaced before the next pose: ignored"
             )
-        return times[kept], tuple(entries[i][1] for i in np.flatnonzero(kept))
+        return given.where(kept)
 
-    def solves(self) -> Solves:
+    def solves(self) -> Series:
         """Return the solves that the controller reported."""
-        rows, statuses = [], []
-        for time, values in self._statuses:
-            solve = reported_solve(values)
-            if "plan" not in values or not 0.0 < solve.duration < _LONGEST_SOLVE:
-                continue  # nothing was solved at this sample
-            rows.append((time, solve.duration, solve.cost, solve.time_to_go))
-            statuses.append(solve.plan)
-        if not rows:
+        # At the other samples nothing was solved.
+        solves = [
+            (time, solve) for time, values in self._statuses
+            if 0.0 < (solve := reported_solve(values)).duration < _LONGEST_SOLVE
+            and "plan" in values
+        ]
+        if not solves:
             self._notes.append("no status of the controller reports a solve; no solve times")
-        times, durations, costs, to_go = np.array(rows, dtype=float).reshape(-1, 4).T
-        return Solves(times, durations, costs, tuple(statuses), to_go)
+        return Series.of(solves)
 
-    def momentum(self, parameters: RobotParameters) -> Momentum:
-        """Return the momentum that the controller reported, and the pushes of its simulator.
+    def momentum(
+        self, parameters: RobotParameters
+    ) -> tuple[Series, Series]:
+        """Return the momentum and the disturbances that the controller reported.
 
         The parameters are those of the controller, which define the units of the model.
         """
@@ -291,24 +272,23 @@ class TopicReader:
             if (disturbance := reported_disturbance(values, parameters)) is not None
             and np.all(np.isfinite(reported_momentum(values)))
         ]
+        times = np.array([time for time, _, _ in reports])
+        momentum = np.array([momentum for _, momentum, _ in reports]).reshape(-1, 3)
+        return Series(times, momentum), Series(times, tuple(one for _, _, one in reports))
+
+    def pushes(self) -> Series:
+        """Return the pushes of the robot's simulator."""
         pushes = [
-            (self._time(topic, message, received),
-             *map(known, message.vector[:2]))
+            (self._time(topic, message, received), *map(known, message.vector[:2]))
             for topic in self._topics("/pushed")
             for received, message in self._messages.decoded[topic]
         ]
         pushed: Vector = np.array(pushes, dtype=float).reshape(-1, 3)
         pushed = pushed[np.all(np.isfinite(pushed), axis=1)]
-        return Momentum(
-            np.array([time for time, _, _ in reports]),
-            np.array([momentum for _, momentum, _ in reports]).reshape(-1, 3),
-            tuple(disturbance for _, _, disturbance in reports),
-            pushed[:, 0],
-            pushed[:, 1:],
-        )
+        return Series(pushed[:, 0], pushed[:, 1:])
 
-    def floors(self) -> Floors:
-        """Return the floors that the controller reported, clearances of plans, and contacts."""
+    def floors(self) -> Series:
+        """Return the floors that the controller reported."""
         found: list[tuple[float, Grid | None]] = []
         for topic in self._topics("/floor"):
             invalid = []
@@ -323,18 +303,19 @@ class TopicReader:
                     f"{topic}: {len(invalid)} invalid floors were ignored; {invalid[0]}"
                 )
         found.sort(key=lambda entry: entry[0])
-        reports = [(time, number(values, CLEARANCE)) for time, values in self._statuses
-                   if CLEARANCE in values]
-        times, clearances = np.array(reports, dtype=float).reshape(-1, 2).T
-        return Floors(
-            np.array([time for time, _ in found]), tuple(grid for _, grid in found),
-            times, clearances, self._contacts(),
+        return Series.of(found, lasting=True)
+
+    def planned_clearances(self) -> Series:
+        """Return the clearances of plans that the controller reported."""
+        return Series.of(
+            (time, number(values, CLEARANCE)) for time, values in self._statuses
+            if CLEARANCE in values
         )
 
-    def _contacts(self) -> Vector:
-        """Return the times by which the robot's simulator had counted each contact [s]."""
+    def contacts(self) -> Series:
+        """Return the contacts that the robot's simulator had counted, by when it had."""
         ending, key = CONTACTS
-        place, times, before = f"{self._robot}/".lstrip("/"), [], 0.0
+        place, times, before = f"{self._robot}/".lstrip("/"), list[float](), 0.0
         for received, message in self._messages.decoded.get("/diagnostics", ()):
             for status in message.statuses:
                 node = status.name.removeprefix(place).removesuffix(ending)
@@ -347,9 +328,9 @@ class TopicReader:
                 # A simulator that is started again counts from 0.
                 times += [time] * round(np.clip(count - before, 0.0, _MOST_CONTACTS))
                 before = count
-        return np.array(times)
+        return Series.of((time, i) for i, time in enumerate(times, start=1))
 
-    def tell_undated(self) -> None:
+    def note_undated(self) -> None:
         """Add a note on each topic whose stamps could not be used."""
         self._notes += [
             f"{topic}: {count} stamps are not of the clock of the poses; the log times are used"
@@ -361,6 +342,13 @@ class TopicReader:
         time = self._clock.time_of_message(message.stamp, received, latched=latched)
         self._undated[topic] += time != self._clock.time_of_stamp(message.stamp)
         return time
+
+    def _series(
+        self, topic: str, entries: Sequence[tuple[Any, ...]], rows: Sequence[Any], size: int
+    ) -> Series:
+        """Return what messages hold, `size` numbers each, given with their log times."""
+        values: Vector = np.array(rows, dtype=float).reshape(-1, size)
+        return Series.of_numbers(self._times(topic, entries, values), values)
 
     def _times(self, topic: str, entries: Sequence[tuple[Any, ...]], values: Vector) -> Vector:
         """Return the times [s] of messages, given with their log times and what they hold."""

@@ -3,7 +3,7 @@
 """Bag with what an odometry gets: readings of an IMU and of encoders, poses measured elsewhere."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
 from sphere_nmpc.quantity import LARGEST, counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
+from sphere_sim.evaluation.series import Series
 from sphere_sim.recording.bag_clock import BagClock
-from sphere_sim.recording.bag_files import BagError, full_topic_name
+from sphere_sim.recording.bag_files import BagError, full_topic_name, last_part
 from sphere_sim.recording.message_fields import TRUE_POSE
 from sphere_sim.recording.messages import Messages, read_messages
 from sphere_sim.recording.poses import read_series
@@ -58,11 +59,11 @@ class SensorBag:
         """Return log times [ns] and records of a topic, in their order."""
         return self.messages.decoded.get(topic, [])
 
-    def events(self) -> tuple[list[Event], dict[str, tuple[Vector, Vector]]]:
+    def events(self) -> tuple[list[Event], dict[str, Series]]:
         """Return what an odometry gets, as it was logged, and poses to compare it with.
 
-        The latter are times [s] and states, shape (n, 6), by topic: the reference and the fixes.
-        Times are those of the stamps, or of the log where these cannot be used.
+        The latter are by topic: the reference and the fixes. Times are those of the stamps, or of
+        the log where these cannot be used.
         """
         readings = self.of(self.imu)
         try:
@@ -82,20 +83,20 @@ class SensorBag:
         clock = BagClock([readings[i][0] for i in kept], stamps)
         found = [(readings[i][0], (clock.time_of_stamp(stamp), self.imu, readings[i][1]))
                  for i, stamp in zip(kept, stamps, strict=True)]
-        poses = [_nearest(self.imu, [it for it in self.messages.decoded if _last(it) == kind])
-                 for kind in (FIX, PLACED)]
+        own = [_nearest(self.imu, [it for it in self.messages.decoded if last_part(it) == kind])
+               for kind in (FIX, PLACED)]
         compared = {}
-        for topic in filter(None, dict.fromkeys((self.joints, *poses, self.reference))):
+        for topic in filter(None, dict.fromkeys((self.joints, *own, self.reference))):
             times = self._times(clock, topic)
             if topic != self.reference:
                 found += [(log, (time, topic, record)) for time, (log, record)
                           in zip(times.tolist(), self.of(topic), strict=True)]
-            if topic in (poses[0], self.reference):
+            if topic in (own[0], self.reference):
                 given = [record.state for _, record in self.of(topic)]
                 states: Vector = np.array(given, dtype=float).reshape(-1, POSE_SIZE)
-                times, first = np.unique(times, return_index=True)
-                usable = are_states(states[first])
-                compared[topic] = times[usable], without_sign_jumps(states[first][usable])
+                poses = Series.of_numbers(times, states)
+                poses = poses.where(are_states(poses.values))
+                compared[topic] = replace(poses, values=without_sign_jumps(poses.values))
         found.sort(key=lambda entry: entry[0])
         return [event for _, event in found], compared
 
@@ -106,7 +107,7 @@ class SensorBag:
             time != clock.time_of_stamp(record.stamp)
             for time, (_, record) in zip(found, self.of(topic), strict=True)
         )
-        if undated and _last(topic) != PLACED:
+        if undated and last_part(topic) != PLACED:
             self.messages.notes.append(
                 f"{topic}: {undated} stamps are not of the clock of the IMU; the log times are "
                 "used"
@@ -123,7 +124,7 @@ def read_sensor_bag(
     ``pose`` of the robot. `BagError` is raised where there is no such topic.
     """
     messages = read_messages(path, lambda _, kind: kind in _KINDS)
-    imus = [topic for topic in _of_type(messages, Imu) if topic in messages.decoded]
+    imus = messages.recorded(TYPES[Imu])
     if imu is None and len(imus) > 1:
         raise BagError(path, f"has several IMUs, choose one with --imu: {', '.join(imus)}")
     wanted = imus if imu is None else [full_topic_name(imu)]
@@ -133,17 +134,17 @@ def read_sensor_bag(
         missing = messages.incomplete(missing) if messages.truncated else missing
         raise BagError(path, f"{missing}; it has: {', '.join(others) or 'no topic'}")
     (imu, *_) = wanted
-    joints = [topic for topic in _of_type(messages, Joints) if topic in messages.decoded]
+    joints = messages.recorded(TYPES[Joints])
     rotors = [topic for topic in joints if any(
         record.of_rotors() is not None for _, record in messages.decoded[topic]
     )]
     if joints and not rotors:
         messages.notes.append(f"no joint states name {' and '.join(JOINT_NAMES)}")
-    poses = [topic for topic in _of_type(messages, Pose) if topic in messages.decoded]
+    poses = messages.recorded(TYPES[Pose])
     if pose_topic is not None and (pose_topic := full_topic_name(pose_topic)) not in poses:
         raise BagError(path, f"no poses on {pose_topic}; it has: {', '.join(poses) or 'none'}")
     own = [topic for topic in poses if topic.endswith(f"/{TRUE_POSE}")]
-    own = own or [topic for topic in poses if _last(topic) == "pose"]
+    own = own or [topic for topic in poses if last_part(topic) == "pose"]
     return SensorBag(
         messages, imu, _nearest(imu, rotors or joints), pose_topic or _nearest(imu, own)
     )
@@ -165,7 +166,7 @@ def feed(
                     angles, speeds, _ = rotors
                     known = angles if np.isfinite(angles).all() else None
                     is_new = odometry.observe_rotors(time, speeds, known)
-            elif _last(topic) == FIX:
+            elif last_part(topic) == FIX:
                 odometry.correct(time, *record.in_frame(frame))
             else:  # the stamp of who gives it is that of another clock
                 estimate = odometry.estimate
@@ -181,10 +182,6 @@ def feed(
     return refused
 
 
-def _of_type(messages: Messages, record: Any) -> list[str]:
-    return sorted(topic for topic, kind in messages.types.items() if kind == TYPES[record])
-
-
 def _nearest(topic: str, others: Sequence[str]) -> str:
     """Return the topic that shares most of its namespace with another one; empty without any."""
     def shared(other: str) -> int:
@@ -192,7 +189,3 @@ def _nearest(topic: str, others: Sequence[str]) -> str:
         return next((i for i, (a, b) in enumerate(pairs) if a != b), topic.count("/"))
 
     return max(others, key=shared, default="")
-
-
-def _last(topic: str) -> str:
-    return topic.rpartition("/")[2]

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidInputError, shown
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.cdr import clock_stamp
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.bag_writer import BagWriter

@@ -27,7 +27,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
 from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.foreign_file import open_file
+from sphere_nmpc.foreign.file import open_file
 from sphere_nmpc.ros.cdr import RECORDS, read
 from sphere_sim.recording.bag_files import (
     custom_data,

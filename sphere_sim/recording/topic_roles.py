@@ -26,7 +26,13 @@ from sphere_nmpc.ros.cdr import (
     Trajectory,
     Vector3,
 )
-from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError, full_topic_name, object_of
+from sphere_sim.recording.bag_files import (
+    TOPICS_PREFIX,
+    BagError,
+    full_topic_name,
+    last_part,
+    object_of,
+)
 from sphere_sim.recording.message_fields import POSE_TOPIC, TRUE_POSE
 from sphere_sim.recording.messages import Messages
 
@@ -61,7 +67,7 @@ class Robot:
 
 def is_read(topic: str, msgtype: str) -> bool:
     """Return whether a run may have messages of this topic and type."""
-    return msgtype in (_POSE, _JOINTS, _PLANS) or _NAMED.get(_last(topic)) == msgtype
+    return msgtype in (_POSE, _JOINTS, _PLANS) or _NAMED.get(last_part(topic)) == msgtype
 
 
 def find_robot(messages: Messages, namespace: str | None, pose_topic: str | None) -> Robot:
@@ -91,9 +97,9 @@ class _Bag:
         self._candidates = self._of_type(_POSE, lambda topic: not topic.endswith(_GOALS))
         rotors = [*self._of_type(_JOINTS, self._has_rotors),
                   *self._of_type(_PLANS, self._has_rotors)]
-        with_pose = {_space(topic) for topic in self._candidates if _last(topic) == "pose"}
+        with_pose = {_space(topic) for topic in self._candidates if last_part(topic) == "pose"}
         with_rotors = {_space(topic) for topic in rotors
-                       if _last(topic) in ("joint_states", "rotor_trajectory")}
+                       if last_part(topic) in ("joint_states", "rotor_trajectory")}
         controlled = {_space(node) for node in self._nodes()}
         self._robots = sorted(
             controlled | (with_pose & with_rotors) or with_rotors or with_pose
@@ -235,7 +241,7 @@ class _Bag:
             return self._error("is empty: it has no topic at all")
         # Types of equal names are told apart by their packages.
         others = ", ".join(
-            f"{topic} ({kind if _last(kind) == _last(_POSE) else _last(kind)})"
+            f"{topic} ({kind if last_part(kind) == last_part(_POSE) else last_part(kind)})"
             for topic, kind in sorted(messages.types.items())
         )
         why = f"; it has {messages.unread}" if messages.unread else ", so a bag of another robot"
@@ -251,7 +257,3 @@ def _space(topic: str) -> str:
     """Return what is before the last part of a full name, or before `TRUE_POSE`."""
     own = topic.removesuffix(f"/{TRUE_POSE}")
     return topic.rpartition("/")[0] if own == topic else own
-
-
-def _last(topic: str) -> str:
-    return topic.rpartition("/")[2]

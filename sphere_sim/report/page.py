@@ -49,7 +49,7 @@ def write_page(
     runs = [run for one in reported for run in one.runs.values()]
     parts = [f"<h1>{escape(title)}</h1>", *_setups(reported), *_alarms(reported)]
     parts += [_table(runs), *_notes(reported)]
-    parts += [_goals(one) for one in reported if len(one.recording.goals)]
+    parts += [_goals(one) for one in reported if one.recording.goals]
     heading = ""
     for figure_heading, caption, file in figures:
         if figure_heading != heading:
@@ -80,7 +80,7 @@ def _motion_results(run: Run) -> list[tuple[str, str]]:
     if metrics is None:
         return []
     settled = _number(metrics.settle_time_s, "s") if metrics.settled else "not settled"
-    orientation = run.goals[-1].orientation
+    orientation = run.goals.values[-1].orientation
     angle = f"{three_digits(math.degrees(metrics.final_orientation_error_rad))} deg"
     if orientation is Orientation.ANY:
         angle = "free"
@@ -102,17 +102,16 @@ def _motion_results(run: Run) -> list[tuple[str, str]]:
 
 def _momentum_results(run: Run) -> list[tuple[str, str]]:
     """Return the results of a run with momentum or pushes; empty for others."""
-    momentum = run.momentum
-    if momentum.is_zero:
+    if not run.has_momentum:
         return []
     rows = [
         (f"push {i}", f"{np.linalg.norm(impulse):.3g} N s at {time:.3g} s")
         for i, (time, impulse) in enumerate(
-            zip(momentum.push_times, momentum.impulses, strict=True), start=1
+            zip(run.pushes.times, run.pushes.values, strict=True), start=1
         )
     ]
-    if len(momentum.times):
-        final = np.linalg.norm(momentum.values[-1])
+    if run.momentum:
+        final = np.linalg.norm(run.momentum.values[-1])
         rows.append(("momentum at the end, estimated", _number(float(final), "N m s")))
     return rows
 
@@ -190,7 +189,7 @@ def _goals(one: Reported) -> str:
     """Return the table with a row for each goal of a recording."""
     rows = []
     for columns, run in one.rows():
-        goal = run.goals[0]
+        goal = run.goals.values[0]
         quaternion = [] if goal.orientation is Orientation.ANY else [_list(goal.pose[QUATERNION])]
         target = _list(goal.pose[POSITION]), *quaternion, goal.orientation.remark
         start = _list(run.states[0, POSITION]), _list(run.states[0, QUATERNION])

@@ -10,7 +10,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from sphere_sim.output.files import printable, write_atomically
-from sphere_sim.recording.run import Momentum, Run
+from sphere_sim.recording.run import Run
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.animation import write_animation
 from sphere_sim.report.figures.comparison import comparison
@@ -26,7 +26,6 @@ from sphere_sim.report.reported import (
     odometry_metrics,
     solve_table,
     write_csv,
-    write_parquet,
 )
 
 FIGURES: dict[str, tuple[Callable[[Run], Figure], str]] = {
@@ -59,9 +58,9 @@ _OF_ODOMETRY = (
 
 
 def write_report(
-    reported: Sequence[Reported], out: Path, *, csv: bool, parquet: bool, animation: bool
+    reported: Sequence[Reported], out: Path, *, csv: bool, animation: bool
 ) -> Path:
-    """Write a report into a folder that exists and return its page. Several runs are compared.
+    """Write a report into a folder that exists and return its page; several runs are compared.
 
     Numbers are written before figures, and animations, the largest files, last, with the page once
     more: on a full disk the most important files exist, and OSError names the one that cannot be
@@ -74,11 +73,8 @@ def write_report(
             "motion": motion_table(one.recording), "solves": solve_table(one.recording),
             "goals": goal_table(one),
         }
-        for name, table in tables.items():
-            if csv:
-                write_csv(table, out / f"{one.prefix}{name}.csv")
-            if parquet:
-                write_parquet(table, out / f"{one.prefix}{name}.parquet")
+        for name, table in tables.items() if csv else ():
+            write_csv(table, out / f"{one.prefix}{name}.csv")
     runs = {prefix: run for one in reported for prefix, run in one.runs.items()}
     figures: list[tuple[str, str, Path]] = []
     if len(runs) > 1:
@@ -86,8 +82,8 @@ def write_report(
         drawn = comparison(list(runs.values()))
         figures.append(("Comparison", caption, save(drawn, out, "comparison")[1]))
     for prefix, run in runs.items():
-        own = {} if run.momentum.is_zero else {"momentum": _OF_MOMENTUM}
-        own |= {} if run.floors.is_free else {"clearance": _OF_FLOOR}
+        own = {"momentum": _OF_MOMENTUM} if run.has_momentum else {}
+        own |= {"clearance": _OF_FLOOR} if run.has_floor else {}
         own |= {"odometry": _OF_ODOMETRY} if odometry_metrics(run) else {}
         for name, (draw, caption) in {**FIGURES, **own}.items():
             files = save(draw(run), out, f"{prefix}{name}")
@@ -112,8 +108,8 @@ def _summary(one: Reported) -> dict[str, object]:
         "goal": one.goals[-1] if one.goals else None,
         "metrics": _known(metrics_of(run)),
     }
-    if not run.momentum.is_zero:
-        entry["momentum"] = _momentum(run.momentum)
+    if run.has_momentum:
+        entry["momentum"] = _momentum(run)
     if found := floor_metrics(one.recording):
         entry["floor"] = _known(found)
     entry |= odometry_metrics(run)
@@ -129,13 +125,12 @@ def _known(values: Mapping[str, float | str]) -> dict[str, float | str | None]:
     }
 
 
-def _momentum(momentum: Momentum) -> dict[str, object]:
+def _momentum(run: Run) -> dict[str, object]:
     return {
-        "end_nms": momentum.values[-1].tolist() if len(momentum.values) else None,
+        "end_nms": run.momentum.values[-1].tolist() if run.momentum else None,
         "pushes": [
-            {"time_s": time, "impulse_ns": impulse}
-            for time, impulse in zip(
-                momentum.push_times.tolist(), momentum.impulses.tolist(), strict=True
+            {"time_s": time, "impulse_ns": impulse} for time, impulse in zip(
+                run.pushes.times.tolist(), run.pushes.values.tolist(), strict=True
             )
         ],
     }

@@ -65,9 +65,10 @@ class Reported:
 
     def rows(self) -> Iterator[tuple[dict[str, float | str], Run]]:
         """Yield for each goal of the recording its values of `COLUMNS`, and the run to it."""
-        for i, time in enumerate(self.recording.goal_times, start=1):
+        for i, time in enumerate(self.recording.goals.times, start=1):
             run = self.recording.to_goal(i)
-            orientation, target = run.goals[0].orientation, run.goals[0].pose.copy()
+            goal = run.goals.values[0]
+            orientation, target = goal.orientation, goal.pose.copy()
             if orientation is Orientation.ANY:
                 target[QUATERNION] = np.nan
             values = (
@@ -107,7 +108,7 @@ def floor_metrics(run: Run) -> dict[str, float]:
     the poses if there are more.
     """
     known = run.clearances[np.isfinite(run.clearances)]
-    counted, begun = run.floors.contact_times, run.times[touches(run.clearances)]
+    counted, begun = run.contacts.times, run.times[touches(run.clearances)]
     if not (known.size or counted.size):
         return {}
     return {
@@ -122,7 +123,8 @@ def odometry_metrics(run: Run) -> dict[str, float]:
 
     They are those of `estimate_errors`, but for the heading without its sign and in degrees.
     """
-    known = run.estimates.errors[np.isfinite(run.estimates.errors[:, 0])].tolist()
+    errors = run.estimate_errors.values
+    known = errors[np.isfinite(errors[:, 0])].tolist()
     return {
         "odometry_position_error_m": known[-1][0],
         "odometry_heading_error_deg": abs(math.degrees(known[-1][1])),
@@ -138,22 +140,22 @@ def motion_table(run: Run) -> dict[str, Vector]:
     table = {"time_s": run.times}
     table.update({name: run.states[:, i] for i, name in enumerate(POSE_NAMES)})
     table |= dict(zip(ERRORS, run.errors.T, strict=True))
-    if not run.floors.is_free:
+    if run.has_floor:
         table["clearance_m"] = run.clearances
     for name, unit, values in (
         ("rotor_speed", "rad_s", run.rotor_speeds),
         ("rotor_torque", "nm", run.rotor_torques),
     ):
-        for i in range(2):
-            column = _interpolate(run.times, run.joint_times, values[:, i])
-            table[f"{name}_{i + 1}_{unit}"] = column
+        columns = values.interpolated(run.times, math.nan).T
+        table |= {f"{name}_{i}_{unit}": column for i, column in enumerate(columns, start=1)}
     return table
 
 
 def solve_table(run: Run) -> dict[str, Vector]:
     """Return the columns of a table with one row for each solve: times, durations [s], values."""
     solves = run.solves
-    return {"time_s": solves.times, "solve_time_s": solves.durations, "cost": solves.costs}
+    return {"time_s": solves.times, "solve_time_s": solves.column("duration"),
+            "cost": solves.column("cost")}
 
 
 def goal_table(one: Reported) -> dict[str, NDArray[Any]]:
@@ -174,21 +176,3 @@ def write_csv(table: Mapping[str, NDArray[Any]], path: Path) -> None:
     text = io.StringIO()
     np.savetxt(text, np.column_stack(columns), "%s", ",", header=",".join(table), comments="")
     write_atomically(path, text.getvalue())
-
-
-def write_parquet(table: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write a table as Parquet."""
-    # pyarrow is an optional dependency.
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    packed = io.BytesIO()
-    pq.write_table(pa.table(dict(table)), packed)
-    write_atomically(path, packed.getvalue())
-
-
-def _interpolate(times: Vector, sampled: Vector, values: Vector) -> Vector:
-    """Return values at other times by linear interpolation; nan outside of the samples."""
-    if not sampled.size:
-        return np.full_like(times, np.nan)
-    return np.interp(times, sampled, values, left=np.nan, right=np.nan)

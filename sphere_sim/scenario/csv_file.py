@@ -22,9 +22,14 @@ from typing import TextIO
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidParameterError, InvalidStateError, SphereNmpcError
-from sphere_nmpc.foreign_file import InvalidFileError, open_file
-from sphere_nmpc.foreign_text import printable_line, shown
+from sphere_nmpc.errors import (
+    InvalidParameterError,
+    InvalidStateError,
+    SphereNmpcError,
+    printable_line,
+    shown,
+)
+from sphere_nmpc.foreign.file import InvalidFileError, open_file
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
 from sphere_nmpc.quantity import counted

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.foreign_text import Description
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.path import Path

@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from sphere_nmpc.foreign.own_folder import cache_folder, own_folder
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance, is_zero
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
@@ -33,7 +34,6 @@ from sphere_nmpc.model.state import (
     without_momentum,
 )
 from sphere_nmpc.model.torque import within_torque
-from sphere_nmpc.own_folder import cache_folder, own_folder
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
@@ -47,8 +47,8 @@ from sphere_sim.study.progress import shown
 from sphere_sim.study.workers import Workers
 
 SEARCH_VERSION = 3
-"""To be raised with any change of the search that finds other times: times of another version in
-the cache are not used."""
+"""Version, to be raised with any change of the search that finds other times: times of another one
+in the cache are not used."""
 SEARCHES = 2
 """Independent searches for each scenario."""
 EFFORT = 400_000
@@ -64,7 +64,7 @@ _STEP = 0.0625
 _MOMENTUM_STEPS = 16
 """Steps in which momentum and disturbance are raised."""
 _MOMENTUM_VERSION = 2
-"""As `SEARCH_VERSION`, for times with momentum alone."""
+"""Version as `SEARCH_VERSION`, for times with momentum alone."""
 _RESOLUTION = 0.01
 """Resolution of the settling time [s], that of the runs."""
 _log = logging.getLogger("sphere_nmpc")

@@ -5,9 +5,7 @@
 With rotor speeds u the sphere rolls at v and rotates at omega, omega_k of it about the vertical,
 such that everywhere ``c1^2 |u|^2 = (v / Rs)^2 + mu(k) omega_k^2`` with mu(k) > 0. So the least
 integral of |u| follows from the distance and the angle of the rotation, and the least time from
-that integral and the limits of speed, acceleration and torque. Farther goals take longer, by the
-time that is lost in orientations from which the sphere cannot roll straight to the goal; that is
-known for the ratios of inertias of the default robot.
+that integral and the limits of speed, acceleration and torque.
 """
 
 import math
@@ -17,15 +15,10 @@ from numpy.typing import ArrayLike
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
-from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, angle_error, position_error
-from sphere_sim.study.displacement_table import displacement_table
+from sphere_nmpc.model.state import QUATERNION, Vector, angle_error, position_error
 
 _CELLS = 1000
 """Intervals of the latitude; more of them raise the bound, by less than 1 ms from 1000 on."""
-
-
-_NEAR = 1.3
-"""Distance [radii of the shell] up to which lost time is left out: the angle tells more there."""
 
 
 def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
@@ -44,42 +37,23 @@ def lower_bound(start: Vector, goal: Vector, robot: RobotParameters) -> float:
         float(_least_input(rolled, turn, _least_share(constants))),
         _by_latitude(float(first[2]), float(last[2]), turn, constants),
     )
+    # From rest to rest, Eq. (8): the time at full speed, and that of a ramp to full speed.
     speed = robot.max_rotor_speed
     at_full_speed = least / (constants.input_gain * math.sqrt(2.0) * speed)
-    seconds = _with_ramps(at_full_speed, speed / _largest_gain(robot))
-    distance = position_error(start, goal) / constants.shell_radius
-    if distance > _NEAR and (table := displacement_table(constants)) is not None:
-        x, y = goal[POSITION] - start[POSITION]
-        with_losses = table.least_time(
-            distance, start[QUATERNION], goal[QUATERNION], math.atan2(y, x)
-        )
-        ramp = speed / _largest_gain(robot, of_one=True)
-        seconds = max(seconds, _with_ramps(with_losses / (constants.input_gain * speed), ramp))
-    return seconds
-
-
-def _with_ramps(at_full_speed: float, ramp: float) -> float:
-    """Return the time [s] from rest to rest, Eq. (8) of the document.
-
-    It follows from the time that is needed with rotors at full speed at once, and from that of a
-    ramp to full speed [s].
-    """
+    ramp = speed / _largest_gain(robot)
     return at_full_speed + ramp if at_full_speed >= ramp else 2.0 * math.sqrt(at_full_speed * ramp)
 
 
-def _largest_gain(robot: RobotParameters, of_one: bool = False) -> float:
+def _largest_gain(robot: RobotParameters) -> float:
     """Return a' [rad/s^2] with ``|u(t)| <= sqrt(2) a' t`` from rest, Eq. (7) of the document.
 
     A torque limit bounds the speeds of the rotors in space, of which those against the shell are
-    a multiple that the orientation limits. For a while they may accelerate faster than this. With
-    `of_one` it is a bound of each rotor, ``|u_i(t)| <= a' t``: the limit is one of the norm.
+    a multiple that the orientation limits. For a while they may accelerate faster than this.
     """
     if robot.max_rotor_torque <= 0.0:
         return robot.max_rotor_acceleration
     least_share = 1.0 - robot.rotor_axial_inertia / robot.transverse_inertia
     by_torque = robot.max_rotor_torque / (robot.rotor_axial_inertia * least_share)
-    if of_one:
-        by_torque *= math.sqrt(2.0)
     return min(robot.max_rotor_acceleration, by_torque)
 
 
@@ -108,14 +82,21 @@ def _by_latitude(first: float, last: float, turn: float, constants: LumpedConsta
     `first` and `last` are the sines of the latitude of the contact point on the shell at start and
     goal, `turn` is the angle between the two orientations [rad].
     """
-    r1, r3 = constants.transverse_ratio, constants.axial_ratio
     ends = np.abs(np.arcsin(np.clip([first, last], -1.0, 1.0)))
     nearest = float(np.min(ends)) if first * last > 0.0 else 0.0
     edges = np.linspace(0.0, nearest, _CELLS + 1)
     # Within a cell: the way to its far edge, and the share at its near one, both the least.
     way = np.sum(ends) - 2.0 * edges[1:]
-    tilt = ((1.0 - r3) * np.tan(edges[:-1])) ** 2
+    return float(np.min(_least_input(way, turn, _least_share_from(edges[:-1], constants))))
+
+
+def _least_share_from(latitude: ArrayLike, constants: LumpedConstants) -> Vector:
+    """Return eta [-], shape (n,), the least at any higher latitude [rad], Eq. (5) of the document.
+
+    It is the square of the least c1 |u| for a rotation of 1 rad/s at a constant latitude.
+    """
+    r1, r3 = constants.transverse_ratio, constants.axial_ratio
+    tilt = ((1.0 - r3) * np.tan(latitude)) ** 2
     limit = 1.0 - ((r1 - r3) / (1.0 - r3)) ** 2
-    share = np.minimum(((1.0 - r1) ** 2 + limit * tilt) / (1.0 + tilt), limit)
-    share = np.maximum(share, _least_share(constants))
-    return float(np.min(_least_input(way, turn, share)))
+    share: Vector = np.minimum(((1.0 - r1) ** 2 + limit * tilt) / (1.0 + tilt), limit)
+    return np.maximum(share, _least_share(constants))

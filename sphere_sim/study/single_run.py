@@ -4,6 +4,7 @@
 
 import itertools
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from functools import lru_cache
@@ -13,13 +14,14 @@ import numpy as np
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
+from sphere_nmpc.estimation.rotor_history import enter, knots_of
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector
+from sphere_nmpc.model.state import POSE, POSITION, Vector
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import (
@@ -95,6 +97,23 @@ def course_of(conditions: StudyConditions, scenario: Scenario) -> Course:
     return scenario.course(conditions.controller.path_tolerance, conditions.robot.shell_radius)
 
 
+def closed_loop(
+    conditions: StudyConditions, scenario: Scenario,
+    made: tuple[Simulator, Controller] | None = None, goal: Goal | Course | None = None,
+    output_period: float = 0.01, poses: OdometryPoses | None = None,
+) -> Trajectory:
+    """Make the run of a scenario, by default with what `prepare` returns and its own course.
+
+    For `output_period` and `poses` see `run_closed_loop`.
+    """
+    simulator, controller = made or prepare(conditions, scenario)
+    return run_closed_loop(
+        simulator, controller, course_of(conditions, scenario) if goal is None else goal,
+        conditions.duration, conditions.controller.control_period, output_period,
+        conditions.latency, scenario.push, poses,
+    )
+
+
 def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     """Run a scenario and evaluate the run.
 
@@ -108,11 +127,8 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         poses = None if simulator.imu is None else OdometryPoses(
             simulator, simulator.imu, conditions.odometry, conditions.robot
         )
-        trajectory = run_closed_loop(
-            simulator, controller, course, conditions.duration,
-            conditions.controller.control_period, latency=conditions.latency, push=scenario.push,
-            poses=poses,
-        )
+        made = simulator, controller
+        trajectory = closed_loop(conditions, scenario, made, course, poses=poses)
         inputs = followed_inputs(trajectory.holds, conditions.duration)
         results = _results(trajectory, course.goals[-1], inputs)
         results |= _along(trajectory, course, conditions.robot.shell_radius)
@@ -135,12 +151,9 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
 
 def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict[str, Value]:
     planned = [d.plan.made.solve_time for d in trajectory.decisions if d.solved and d.is_new]
-    solve_times = np.array(planned)
-    speeds = np.vstack((trajectory.speeds, inputs.speeds))
-    measured = measure(
-        trajectory.times, trajectory.states, goal, trajectory.times, trajectory.speeds,
-        trajectory.torques, solve_times,
-    )
+    measured = measure(trajectory, goal, np.array(planned))
+    turned = trajectory.rotor_speeds
+    speeds = np.vstack((turned.values, inputs.speeds))
     results = {name: finite(value) for name, value in asdict(measured).items()}
     errors = errors_to(goal, trajectory.states)[:, 0]
     stay = stay_below(trajectory.times, errors, LOOSELY_SETTLED)
@@ -151,7 +164,7 @@ def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict
     results["max_rotor_acceleration"] = _rounded(
         max(
             _largest_slope(inputs.times, inputs.speeds),
-            _largest_slope(trajectory.times, trajectory.speeds),
+            _largest_slope(turned.times, turned.values),
         )
     )
     if planned:
@@ -205,26 +218,10 @@ def followed_inputs(holds: Iterable[FirstOrderHold], duration: float) -> FirstOr
     The commands are in the order in which they took effect; each replaces the previous ones from
     its first knot on.
     """
-    times: list[float] = []
-    speeds: list[Vector] = []
+    taken = deque[FirstOrderHold]()
     for hold in holds:
-        while times and times[-1] >= hold.start - 1e-9:
-            times.pop()
-            speeds.pop()
-        times.extend(float(t) for t in hold.times)
-        speeds.extend(hold.speeds)
-    if not times:
-        return FirstOrderHold(np.array([0.0, duration]), np.zeros((2, INPUT_SIZE)))
-    whole = FirstOrderHold(np.array(times), np.array(speeds))
-    if whole.start > 0.0:
-        # Before the first command the rotors are at rest.
-        times.insert(0, 0.0)
-        speeds.insert(0, np.zeros(INPUT_SIZE))
-    inside = [i for i, time in enumerate(times) if time < duration - 1e-9]
-    return FirstOrderHold(
-        np.append([times[i] for i in inside], duration),
-        np.vstack([*(speeds[i] for i in inside), whole.at(duration)]),
-    )
+        enter(hold, taken)
+    return FirstOrderHold(*knots_of(taken, 0.0, duration))
 
 
 def _stability_of(

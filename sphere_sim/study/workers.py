@@ -13,11 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sphere_nmpc.channel import Channel, ChannelEndError, ContentError, encoded
-from sphere_nmpc.child import Child, module_command, stop_together
-from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.foreign_text import printable_line, shown
-from sphere_nmpc.library_threads import limit_library_threads
+from sphere_nmpc.errors import SphereNmpcError, printable_line, shown
+from sphere_nmpc.process.channel import Channel, ChannelEndError, ContentError, encoded
+from sphere_nmpc.process.child import Child, module_command, stop_together
+from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.worker.serve import serve
 
 TRIES = 3

@@ -15,16 +15,16 @@ from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.rotation import nearer_sign
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.evaluation.metrics import estimate_errors
+from sphere_sim.evaluation.series import Series
 from sphere_sim.recording.message_fields import (
     CLEARANCE,
-    HOLDING,
     known,
     number,
     reported_momentum,
     reported_orientation,
     reported_solve,
 )
-from sphere_sim.viewer.source import Frame, radius_at
+from sphere_sim.viewer.source import Frame, radius_at, values_of_solve
 
 POSE_TIMEOUT = 0.5
 """Age from which on a pose is missed [s]; a paused simulator repeats its pose at 5 Hz."""
@@ -112,8 +112,8 @@ class LiveFrame:
         """
         if self.frame.estimate is not None:
             times, states = map(np.array, zip(*self._true, strict=True))
-            stamp, estimate = np.array([self._estimate_stamp]), self.frame.estimate[None]
-            error = estimate_errors(stamp, estimate, times, states)[0]
+            estimate = Series(np.array([self._estimate_stamp]), self.frame.estimate[None])
+            error = estimate_errors(estimate, Series(times, states))[0]
             if np.isfinite(error[0]):
                 self.update(estimate_error=error)
 
@@ -128,13 +128,11 @@ class LiveFrame:
 
     def add_rotors(self, speeds: Vector, torques: Vector) -> None:
         """Update rotor speeds, shape (2,) [rad/s], and torques, shape (2,) [N m]."""
-        self.frame = replace(
-            self.frame, rotor_speeds=np.array([*map(known, speeds)]),
-            rotor_torques=np.array([*map(known, torques)]),
-        )
+        self.update(rotor_speeds=np.array([*map(known, speeds)]),
+                    rotor_torques=np.array([*map(known, torques)]))
 
     def update(self, **values: Any) -> None:
-        """Update the plan, shape (n, 6), or the floor."""
+        """Update values of the frame by their names."""
         self.frame = replace(self.frame, **values)
 
     def add_goal(self, stamp: str, pose: Vector) -> None:
@@ -165,19 +163,13 @@ class LiveFrame:
         self._update_goal()
         # One that is restarted without a floor publishes none.
         self._has_floor = CLEARANCE in values
-        solve = reported_solve(values)
-        to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
-        self.frame = replace(
-            self.frame,
-            # The value of a minimum-time problem is the time to go.
-            cost=solve.cost if np.isnan(to_go) else float("nan"),
-            to_go=to_go,
-            solve_time=solve.duration if solve.duration > 0.0 else float("nan"),
+        self.update(
             progress=progress,
             clearance=number(values, CLEARANCE),
             momentum=reported_momentum(values),
             strategy=values.get("strategy", ""),
             mode=values.get("mode", ""),
+            **values_of_solve(reported_solve(values)),
         )
 
     def _pose_alert(self, now: float) -> str:

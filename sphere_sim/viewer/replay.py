@@ -2,16 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded run as a source of frames, with pause, speed and seek."""
 
+import math
 import time
 from collections.abc import Sequence
 
 import numpy as np
 
 from sphere_nmpc.control.goal_report import GoalReport
+from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.state import POSE, Vector, are_states
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_sim.recording.message_fields import HOLDING
-from sphere_sim.recording.run import Run, newest
+from sphere_sim.recording.message_fields import NO_SOLVE
+from sphere_sim.recording.run import Run
 from sphere_sim.viewer.source import (
     Capabilities,
     Frame,
@@ -20,6 +22,7 @@ from sphere_sim.viewer.source import (
     Reset,
     Seek,
     SetSpeed,
+    values_of_solve,
 )
 
 _LINE_DURATION = 60.0
@@ -82,72 +85,57 @@ class Replay:
         self._time, self._sought = moment, True
 
     def _frame(self, moment: float, restarted: bool, last: bool = False) -> Frame:
-        run = self._run
-        at, joint = newest(run.times, moment), newest(run.joint_times, moment)
-        solve = newest(run.solves.times, moment)
-        to_go = self._to_go(solve)
-        unknown = np.full(2, np.nan)
-        estimate, estimate_error = run.estimates.at(moment)
+        run, unknown = self._run, np.full(2, np.nan)
+        solve = run.solves.at(moment, NO_SOLVE)
+        values = values_of_solve(solve)
+        # What is left of the way by the plan of the solve.
+        index = run.solves.newest(moment)
+        since = moment - float(run.solves.times[index]) if index >= 0 else 0.0
+        left = float(np.maximum(values["to_go"] - since, 0.0))
         return Frame(
             time=moment,
-            state=run.states[at],
+            state=run.poses.at(moment),
             radius=run.robot.shell_radius,
             robot=run.robot,
-            rotor_speeds=run.rotor_speeds[joint] if joint >= 0 else unknown,
-            rotor_torques=run.rotor_torques[joint] if joint >= 0 else unknown,
-            goal=run.goal_at(moment),
-            estimate=estimate,
-            estimate_error=estimate_error,
+            rotor_speeds=run.rotor_speeds.at(moment, unknown),
+            rotor_torques=run.rotor_torques.at(moment, unknown),
+            goal=run.goals.at(moment),
+            estimate=run.estimates.at(moment),
+            estimate_error=run.estimate_errors.at(moment, unknown),
             floor=run.floors.at(moment),
-            clearance=run.floors.clearance_at(moment),
+            clearance=run.planned_clearances.at(moment, math.nan),
             plan=self._plan_at(moment) if last else np.empty((0, 6)),
-            solve_time=float(run.solves.durations[solve]) if solve >= 0 else float("nan"),
-            cost=float(run.solves.costs[solve]) if solve >= 0 and np.isnan(to_go) else np.nan,
-            to_go=to_go,
-            progress=self._progress(moment, solve, to_go),
-            momentum=run.momentum.at(moment),
-            mode=run.solves.statuses[solve] if solve >= 0 else "",
+            progress=GoalReport(time_left=left),
+            momentum=run.momentum.at(moment, np.full(3, np.nan)),
+            mode=solve.plan,
             setup=run.setup,
             restarted=restarted,
             capabilities=Capabilities(
                 pause=True, reset=True, paused=self._paused, speed=self._speed,
                 duration=self._duration,
             ),
+            **values,
         )
-
-    def _to_go(self, solve: int) -> float:
-        """Return the time until the plan of a solve reaches the goal [s]; 0 if it holds there."""
-        solves = self._run.solves
-        if solve < 0:
-            return float("nan")
-        return 0.0 if solves.statuses[solve] == HOLDING else float(solves.to_go[solve])
-
-    def _progress(self, moment: float, solve: int, to_go: float) -> GoalReport:
-        """Return what is left of the way by the plan of a solve."""
-        since = moment - float(self._run.solves.times[solve]) if solve >= 0 else 0.0
-        return GoalReport(time_left=float(np.maximum(to_go - since, 0.0)))
 
     def _plan_at(self, moment: float) -> Vector:
         """Return the predicted states (n, 6) of the plan in force at its knots.
 
         They begin at the pose that the controller had at its start; empty before the first plan.
         """
-        plans = self._run.plans
-        index = newest(np.array([plan.start for plan in plans]), moment)
+        run = self._run
+        index = run.plans.newest(moment)
         if index == self._plan_index:
             return self._plan
         self._plan_index, self._plan = index, np.empty((0, 6))
         if index < 0:
             return self._plan
-        hold = plans[index]
+        hold = run.plans.values[index]
         times = hold.times[hold.times < hold.start + _LONGEST_PLAN]
-        run = self._run
-        momentum = np.nan_to_num(run.momentum.at(hold.start)) / run.robot.rotor_axial_inertia
-        estimate, _ = run.estimates.at(hold.start)
-        pose = run.states[max(0, newest(run.times, hold.start))] if estimate is None else estimate
+        momentum = run.momentum.at(hold.start, np.zeros(3)) / run.robot.rotor_axial_inertia
+        pose = run.estimates.at(hold.start, run.poses.at(hold.start, run.states[0]))
         plan = roll_out(
             np.concatenate((pose, momentum)), hold.speeds[: times.size], np.diff(times),
-            self._constants, disturbance=run.momentum.disturbance_at(hold.start),
+            self._constants, disturbance=run.disturbances.at(hold.start, UNDISTURBED),
         )[:, POSE]
         self._plan = plan[np.logical_and.accumulate(are_states(plan))]
         return self._plan

@@ -30,7 +30,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.fault_log import FaultLog
 
 RequestHandler = Callable[[ServerConnection, Request], Response | None]
 """Answers a request, or returns None to continue with the WebSocket handshake."""

@@ -5,18 +5,19 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from sphere_nmpc.control.goal_report import GoalReport
+from sphere_nmpc.errors import cut
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.foreign_text import cut
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
 from sphere_nmpc.quantity import quantities
 from sphere_sim.evaluation.metrics import errors_to
+from sphere_sim.recording.message_fields import HOLDING, ReportedSolve
 
 _DEFAULT = RobotParameters()
 DEFAULT_RADIUS = _DEFAULT.shell_radius
@@ -131,6 +132,17 @@ def errors_of(frame: Frame) -> tuple[float, float]:
         return float("nan"), float("nan")
     _, distance, angle = errors_to(frame.goal, frame.state[None])[0].tolist()
     return distance, angle
+
+
+def values_of_solve(solve: ReportedSolve) -> dict[str, Any]:
+    """Return the values of a frame that the newest solve gives, by their names."""
+    to_go = 0.0 if solve.plan == HOLDING else solve.time_to_go
+    return {
+        "to_go": to_go,
+        # The value of a minimum-time problem is the time to go.
+        "cost": solve.cost if math.isnan(to_go) else math.nan,
+        "solve_time": solve.duration if solve.duration > 0.0 else math.nan,
+    }
 
 
 def rotor_momentum(robot: RobotParameters) -> float:

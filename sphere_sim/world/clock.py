@@ -10,6 +10,8 @@ _CATCH_UP_SPACING = 0.5
 """Smallest spacing of two instants while catching up, over the nominal one."""
 _LARGEST_DELAY = 0.1
 """Delay [s, wall] beyond which lost time is given up rather than caught up."""
+_SLOW = 0.95
+"""Share of the wanted real-time factor below which the machine counts as too slow."""
 
 
 class SimulatedClock:
@@ -164,6 +166,10 @@ class SimulatedClock:
         then, wall_then = self._measured_from
         self._measured_from = (now, wall)
         return (now - then) / NANOSECONDS / max(wall - wall_then, 1e-9)
+
+    def is_slow(self, achieved: float) -> bool:
+        """Return whether a real-time factor that was achieved is less than the one to keep."""
+        return not self.lockstep and achieved < _SLOW * self._factor
 
     def _hold_at_sample(self, now: int, wall: float) -> None:
         if self.lockstep and now % self._sample_period == 0:

@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from sphere_nmpc.entry_table import Entry, EntryTable
+from sphere_nmpc.foreign.entry_table import Entry, EntryTable
 from sphere_nmpc.model.state import DEFAULT_START
 from sphere_nmpc.quantity import quantity, validate
 

@@ -16,8 +16,8 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from verb_process import page_of, start
 
-from sphere_nmpc.child import stop_together
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.process.child import stop_together
 from sphere_nmpc.ros.messages import pose_from_ros
 
 SIMULATOR = ("-p", "initial_state:=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]")

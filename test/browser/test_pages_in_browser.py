@@ -15,10 +15,10 @@ from pages import Script
 from recorded_bags import rolling_messages, write_own
 from verb_process import page_of, start
 
-from sphere_nmpc.child import stop_together
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import make_state
+from sphere_nmpc.process.child import stop_together
 from sphere_sim.cli.report import main
 from sphere_sim.report import report_files
 from sphere_sim.viewer.scene import LOOK_AT

@@ -31,7 +31,8 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.state import POSITION
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.cdr import pose_message, pose_of_message
+from sphere_nmpc.ros.cdr import WORLD_FRAME, Pose, read
+from sphere_nmpc.ros.cdr_messages import pose_message
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
 
@@ -145,7 +146,7 @@ def two_poses(session: Session, offset: float = 0.0) -> Action:
         if time.monotonic() >= due:
             due, state = math.inf, other
             if offset:
-                state = pose_of_message(seen)
+                state = read(seen, Pose).in_frame(WORLD_FRAME)
                 state[0] += offset
             stamp = stamp_of(seen) + round(NANOSECONDS * after) + relay.shift
             publisher.publish(pose_message(state, stamp, RADIUS))

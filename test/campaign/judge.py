@@ -21,11 +21,11 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import (
+    WORLD_FRAME,
     Pose,
     Trajectory,
     clock_stamp,
     hold_and_stamp,
-    pose_of_message,
     read,
     rotor_speeds_and_stamp,
     speeds_of_message,
@@ -267,7 +267,7 @@ class Judge:
     def _newest_pose(self, raw: bytes, stamp: int) -> None:
         self.pose_stamp, self._spacing, self.state = stamp, stamp - self.pose_stamp, None
         try:
-            self.state = pose_of_message(raw)
+            self.state = read(raw, Pose).in_frame(WORLD_FRAME)
         except InvalidValueError as error:
             if not self.is_lenient:  # otherwise it may have been pushed away too far
                 self.limits.complain(f"the undisturbed pose is wrong: {error}")
@@ -336,7 +336,7 @@ class Judge:
     def confirmed(self, raw: bytes) -> None:
         """Take the goal in force, as far as it can be read."""
         with suppress(InvalidValueError):
-            self.goal = pose_of_message(raw)
+            self.goal = read(raw, Pose).in_frame(WORLD_FRAME)
 
 
 class Reports:

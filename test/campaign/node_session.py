@@ -26,9 +26,9 @@ from rclpy.parameter import Parameter
 from relay import REMAPPED, Relay, stamped, taken
 from std_srvs.srv import SetBool, Trigger
 
-from sphere_nmpc.child import module_command
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.child import module_command
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.startup import start_ros

@@ -22,7 +22,7 @@ from recorded_bags import (
     write_rosbag2,
 )
 
-from sphere_nmpc.child import python_command
+from sphere_nmpc.process.child import python_command
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.run_reader import read_run
 

@@ -23,7 +23,7 @@ from sphere_nmpc.floor.floor import exact_distance
 from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError, check_polygon
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros.cdr import clock_message, trajectory_message
+from sphere_nmpc.ros.cdr_messages import clock_message, trajectory_message
 from sphere_nmpc.ros.floor_messages import keepout_of_message, map_of_message
 
 SECOND = 10**9

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from floor_plans import CLOSED, RADIUS, floor_of, least_distance, pose
+from floor_plans import CLOSED, RADIUS, floor_of, least_distance, pose, rolled
 from sampled_loop import ROBOT, check_hold
 
 from sphere_nmpc.floor.floor import Floor
@@ -31,8 +31,8 @@ from sphere_nmpc.strategy.clearance import (
     stop_before_contact,
 )
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.lines import line_hold, speeds_along
+from sphere_nmpc.strategy.time_optimal.search_task import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
 pytestmark = pytest.mark.slow
@@ -130,13 +130,6 @@ def on_a_line(distance: float) -> Situation:
     """Situation at a distance [m] from the wall of a floor, on a line where bounds are exact."""
     state = without_momentum(pose(3.0 - distance, 2.0))
     return Situation.of(0.0, state, pose(1.0, 2.0), STILL, ROBOT.lumped, floor=floor_of(CLOSED))
-
-
-def rolled(way: float) -> FirstOrderHold:
-    """Hold that rolls the sphere by a way along x [m]."""
-    rate = RADIUS * ROBOT.lumped.input_gain
-    step = max(0.1, abs(way) / (80.0 * rate))
-    return FirstOrderHold(step * np.arange(3), np.outer([0.0, -way / (step * rate), 0.0], [0, 1]))
 
 
 @pytest.mark.parametrize("distance", [-0.05, 0.0, 0.4e-3, 0.9e-3])

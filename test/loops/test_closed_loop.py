@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.disturbance import is_zero
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSE, Vector, flipped_sign, make_state, upright_state
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -54,26 +54,26 @@ def test_case_of_the_paper_settles_at_its_known_time(case: int, seen: float) -> 
     # rounding may choose another one.
     assert stay is not None and abs(stay.since - seen) <= 2.0
     assert errors[-1] < 1e-3
-    assert np.max(np.abs(found.speeds)) <= ROBOT.max_rotor_speed
+    assert np.max(np.abs(found.rotor_speeds.values)) <= ROBOT.max_rotor_speed
     for hold in found.holds:
         check_hold(hold)
     # The paper states less than 3.2 N m.
-    assert np.max(np.abs(found.torques)) < 3.2
+    assert np.max(np.abs(found.rotor_torques.values)) < 3.2
     assert all(d.solved for d in found.decisions)
 
 
 @pytest.mark.parametrize(
-    ("case", "limit", "rate"),
-    [(1, 6.5, 0.0), (2, 4.5, 0.0), (3, 1.75, 0.0), (4, 2.0, 0.0), (3, 2.25, 30.0), (3, 2.25, 1e2)],
+    ("case", "seen", "rate"),
+    [(1, 5.9, 0.0), (2, 4.0, 0.0), (3, 1.35, 0.0), (4, 1.76, 0.0), (3, 1.3, 30.0), (3, 1.3, 1e2)],
 )
-def test_case_of_the_paper_settles_near_the_time_limit(
-    case: int, limit: float, rate: float
-) -> None:
+def test_case_of_the_paper_settles_in_minimum_time(case: int, seen: float, rate: float) -> None:
     """Between two knots a plan changes its slope at a near one, without which it is no plan."""
     simulated = {"pose_rate": rate} if rate else {}
     loop = of_case(case, ControllerSettings(control_rate=rate), simulated=simulated)
-    plans = loop.run(limit + 1.0)
-    assert loop.settled() <= limit
+    plans = loop.run(seen + 1.5)
+    # A sample period later at the most: rounding may lead the search to another motion.
+    assert loop.settled() <= seen + loop.settings.period
+    # What a plan leaves, 2e-5, and its integration error.
     assert loop.error() < 1e-4
     loop.check_limits()
     arrivals = np.array([plan.arrival for plan in plans])
@@ -88,7 +88,7 @@ def test_present_state_as_goal_needs_no_motion(turn) -> None:
     loop = SampledLoop(start, goal=turn(start))
     found = trajectory(loop, 2.0)
     assert found.decisions[-1].plan.status is PlanStatus.HOLDING
-    np.testing.assert_array_equal(found.speeds, 0.0)
+    np.testing.assert_array_equal(found.rotor_speeds.values, 0.0)
 
 
 def test_case_4_with_noise_and_wrong_parameters_stays_near_the_goal() -> None:
@@ -146,18 +146,22 @@ def test_slow_noisy_late_and_lost_poses_lead_near_the_goal(strategy: str, plant:
     )
     found = trajectory(loop, 12.0)
     states = found.states[found.times > 8.0]
-    assert np.max(position_errors(states, loop.goal)) < 0.03
-    assert np.max(angle_errors(states, loop.goal)) < np.radians(3.0)
+    # Of the 64 poses received meanwhile some are off by three standard deviations.
+    assert np.max(position_errors(states, loop.goal)) < 2.0 * noise
+    assert np.max(angle_errors(states, loop.goal)) < 2.0 * angle_noise
 
 
-def test_change_of_an_unrelated_setting_changes_no_plan() -> None:
-    settings = ControllerSettings(planning_effort=60_000)
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_change_of_unrelated_settings_changes_no_plan(noise: float) -> None:
+    settings = ControllerSettings(
+        planning_effort=20_000, pose_position_noise=noise, pose_orientation_noise=noise
+    )
     changed, unchanged = loops = of_case(3, settings), of_case(3, settings)
     for loop in loops:
-        loop.run(1.0)
+        loop.run(0.5)
         if loop is changed:
-            loop.controller.change(replace(settings, pose_timeout=0.7))
-        loop.run(1.0)
+            loop.controller.change(replace(settings, goal_tolerance=0.02, pose_timeout=0.7))
+        loop.run(0.75)
     np.testing.assert_array_equal(changed.states, unchanged.states)
 
 
@@ -165,18 +169,18 @@ def test_change_of_an_unrelated_setting_changes_no_plan() -> None:
 def test_unknown_drives_cost_little_time(torque: float | None) -> None:
     """The lag of strong drives and the acceleration that weak ones attain are found."""
     pytest.importorskip("mujoco")
-    # 2.9 s were seen with weak drives, 11.1 s where their delay was taken for wrong constants, for
-    # a lag or for momentum; 1.57 s on the ideal plant.
+    # 2.0 s were seen with weak drives, 11.1 s where their delay was taken for wrong constants, for
+    # a lag or for momentum; 1.35 s on the ideal plant.
     body = RigidBodySettings(torque_limit=torque or 0.0)
     loop = of_case(3, plant=RigidBodyPlant(ROBOT, PAPER_CASES[3].start, body))
     loop.run(5.0)
     estimated = loop.controller.estimator.plant
     if torque is None:
-        assert loop.settled() < 2.0 and loop.error() < 1e-3
+        assert loop.settled() < 1.6 and loop.error() < 1e-3
         lag = 1.0 / body.for_robot(ROBOT).drive_bandwidth
         assert estimated.lag == pytest.approx(lag, abs=5e-4)
     else:
-        assert loop.settled() < 3.5
+        assert loop.settled() < 2.5
         attained = torque / ROBOT.rotor_axial_inertia
         # The shell turns against its rotors, which attain a few per cent more relative to it.
         assert attained < estimated.acceleration < 1.1 * attained
@@ -261,24 +265,24 @@ class LinkedLoop(SampledLoop):
         for time, speeds in self.joints.receive(true):
             controller.observe_rotors(time, speeds)
         for time, state in self.poses.receive(true):
-            controller.rotor_feedback.poses.received(time, now - time)
+            controller.link.pose_received(time, now - time)
             controller.observe(time, state)
         while self._copies and self._copies[0][0] <= true:
             self.commands.send(true, self._copies.pop(0)[1])
         if count % 25 == 0:
-            decision = controller.decide(now + controller.rotor_feedback.window)
+            decision = controller.decide(now + controller.link.window)
             sent = controller.commit(decision, now)
             if sent is not None:
                 self.commands.send(true, sent)
-                again = (1, 2) if controller.rotor_feedback.shows_link else ()
+                again = (1, 2) if controller.link.is_apparent else ()
                 self._copies = [(true + i * 0.02, sent) for i in again]
 
 
 def test_without_a_link_nothing_is_committed_ahead() -> None:
     loop = LinkedLoop(delay=0.0)
     loop.go()
-    feedback = loop.controller.rotor_feedback
-    assert feedback.window == feedback.loss == 0.0 and not feedback.shows_link
+    link = loop.controller.link
+    assert link.window == link.loss == 0.0 and not link.is_apparent
 
 
 WRONG_SPEEDS: dict[str, Callable[[Vector], Vector]] = {
@@ -293,10 +297,16 @@ WRONG_SPEEDS: dict[str, Callable[[Vector], Vector]] = {
 }
 
 
+@pytest.fixture(scope="module")
+def time_without() -> float:
+    """Time to the goal without speeds [s]."""
+    return LinkedLoop(delay=0.0, measured=None).go()
+
+
 @pytest.mark.parametrize("measured", WRONG_SPEEDS.values(), ids=WRONG_SPEEDS)
-def test_speeds_that_contradict_the_motion_are_left_out(measured) -> None:
-    without, wrong = LinkedLoop(delay=0.0, measured=None), LinkedLoop(delay=0.0, measured=measured)
-    assert wrong.go() == pytest.approx(without.go(), abs=0.05)
+def test_speeds_that_contradict_the_motion_are_left_out(measured, time_without) -> None:
+    wrong = LinkedLoop(delay=0.0, measured=measured)
+    assert wrong.go() == pytest.approx(time_without, abs=0.05)
     # Others do not look like lost or late commands, so that nothing is made of them.
     if measured in (WRONG_SPEEDS["zero"], WRONG_SPEEDS["turns per second"]):
         assert Kind.SPEEDS_CONTRADICTED in {one.kind for one in wrong.controller.faults}
@@ -308,7 +318,7 @@ def test_speeds_of_rotors_that_do_not_turn_are_believed() -> None:
     loop.commands = Wire(0, 0.0, loss=1.0, bursts=())
     while loop.time < 1.0:
         loop.step()
-    sent = loop.controller._commands.sent
+    sent = loop.controller.rotors
     assert sent.believes_measured and not sent.contradicted
     assert not sent.at(1.0).any()
 
@@ -330,15 +340,15 @@ def test_lost_commands_are_no_other_plant_and_cost_little_time(
     # Up to 5e-4 with measured rotor speeds, up to 1.5e-2 without.
     assert estimator.plant.noise < 1e-3
     assert is_zero(estimator.momentum, estimator.disturbance)
-    assert 0.02 < loop.controller.rotor_feedback.window < 0.3
+    assert 0.02 < loop.controller.link.window < 0.3
     # Without a link 4.0 s.
-    assert took < 6.0
+    assert took < 4.4
 
 
 def test_goal_is_reached_without_joint_states() -> None:
     """Commands are then expected to be lost as often as poses."""
     loop = LinkedLoop(loss=0.05, measured=None)
-    took, feedback = loop.go(), loop.controller.rotor_feedback
-    assert 0.015 < feedback.window < 0.03 and 0.02 < feedback.loss < 0.1
+    took, link = loop.go(), loop.controller.link
+    assert 0.015 < link.window < 0.03 and 0.02 < link.loss < 0.1
     # Over twelve goals within 0.8 m from 4.0 to 4.4 s; without the window up to 26 s, or never.
-    assert took < 6.0
+    assert took < 4.8

@@ -12,9 +12,9 @@ from given_plans import Given, plan_of
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from motions import largest_slope
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
@@ -23,6 +23,7 @@ from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate, PoseFilter
 from sphere_nmpc.model.disturbance import slope_torque
 from sphere_nmpc.model.state import POSE, as_state
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -338,11 +339,10 @@ class Events(RuleBasedStateMachine):
         # Rounding of times on a wall clock, 2.4e-7 s, at 400 rad/s^2.
         np.testing.assert_allclose(self.controller.speeds_at(self.now), in_force, atol=2e-4)
         if hold is not None:
-            slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
             # The end of the ramp to rest is rounded to the clock's 2.4e-7 s.
             shortest = np.min(np.diff(hold.times), initial=np.inf)
             slack = 1e-6 + ROBOT.max_rotor_acceleration * np.spacing(self.now) / shortest
-            assert np.max(slopes, initial=0.0) <= ROBOT.max_rotor_acceleration + slack
+            assert largest_slope(hold) <= ROBOT.max_rotor_acceleration + slack
 
     @invariant()
     def speed_is_within_its_limit_now_and_ever_after_and_ends_at_rest(self) -> None:

@@ -10,11 +10,11 @@ from floor_plans import DOORWAY, RADIUS, floor_of, least_distance, pose
 from given_plans import Given, plan_of
 from sampled_loop import SampledLoop
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.model.course import Course, Leg, LegEnd
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import POSITION, Vector, make_state, upright_state
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -35,7 +35,7 @@ REACHED = 1e-2
 def follow(loop: SampledLoop, goals: list[Vector], kind: Orientation = Orientation.FULL) -> None:
     """Put a list of goals in force."""
     course = Course.of(*(Goal(one, kind) for one in goals))
-    loop.controller.follow(ActiveCourse(course, 1))
+    loop.controller.following.take(ActiveCourse(course, 1))
 
 
 def run_to_the_end(loop: SampledLoop) -> list[float]:

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sampled_loop import ROBOT, SampledLoop
+from situations import situation
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.goal_motion import GoalMotion, current
 from sphere_nmpc.control.monitors import relative_error
@@ -25,10 +25,10 @@ from sphere_nmpc.model.state import (
     position_error,
     state_error,
     upright_state,
-    without_momentum,
 )
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.strategy.contract import Situation, make_strategy
+from sphere_nmpc.strategy.contract import make_strategy
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 
 pytestmark = pytest.mark.slow
@@ -44,51 +44,20 @@ def course(*poses: Vector, stamp: int = 1) -> ActiveCourse:
     return ActiveCourse(Course.of(*map(Goal, poses)), stamp)
 
 
-def until_index(loop: SampledLoop, index: int) -> None:
-    """Run until another goal of the list is aimed at."""
-    end = loop.time + LONGEST
-    while loop.controller.active.index < index:
-        assert loop.time < end, loop.decision
-        loop.run(loop.settings.control_period)
-
-
 def test_what_remains_is_that_of_all_goals() -> None:
     controller = SampledLoop(START).controller
-    assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no goal"
-    controller.follow(course(*SQUARE))
-    assert np.isnan(controller.remaining(1.0, 1.0)).all(), "no pose"
+    assert np.isnan(controller.following.remaining(1.0, 1.0)).all(), "no goal"
+    assert controller.following.take(course(*SQUARE))
+    assert not controller.following.take(course(*SQUARE, stamp=2))
+    assert np.isnan(controller.following.remaining(1.0, 1.0)).all(), "no pose"
     controller.observe(0.0, START)
-    time, way = controller.remaining(math.nan, math.nan)
+    time, way = controller.following.remaining(math.nan, math.nan)
     assert way == pytest.approx(0.4 + 0.3 + 0.4), "along straight lines"
     assert time == pytest.approx(3 * 2.0 + way / 0.742, rel=1e-3)
-    planned = controller.remaining(3.5, 0.6)
+    planned = controller.following.remaining(3.5, 0.6)
     assert planned == pytest.approx((3.5 + 2 * 2.0 + 0.7 / 0.742, 0.6 + 0.7), rel=1e-3)
-    resting = controller.remaining(math.nan, 0.0)
+    resting = controller.following.remaining(math.nan, 0.0)
     assert resting == pytest.approx((2 * 2.0 + 0.7 / 0.742, 0.7), rel=1e-3)
-
-
-def test_goals_are_visited_in_order_each_within_the_tolerance() -> None:
-    loop = SampledLoop(START)
-    controller = loop.controller
-    assert controller.follow(course(*SQUARE))
-    for k, pose in enumerate(SQUARE[:-1]):
-        loop.keep_from_now_on()
-        until_index(loop, k + 1)
-        assert not controller.at_goal, "other goals follow"
-        assert min(loop.errors(pose)) < 1e-2
-        if k == 0:  # a repeated list goes on
-            assert not controller.follow(course(*SQUARE, stamp=2))
-            assert (controller.active.index, controller.active.stamp) == (1, 2)
-    loop.run(LONGEST)
-    assert controller.at_goal and loop.decision.mode is Kind.AT_GOAL
-    assert loop.error(SQUARE[-1]) < 1e-2
-    assert controller.follow(course(*SQUARE)), "all were visited: once more"
-    assert controller.active.index == 0
-    assert controller.plans >= 3
-    until_index(loop, 1)
-    assert controller.follow(course(*SQUARE[::-1])), "another list"
-    assert controller.active.index == 0
-    np.testing.assert_array_equal(controller.goal, SQUARE[-1])
 
 
 @pytest.mark.parametrize(
@@ -126,7 +95,10 @@ def test_arrival_and_distance_are_told_from_the_first_plan_on() -> None:
             break
         arrivals.append(loop.decision.plan.arrival)
         ways.append(loop.decision.plan.way_left(loop.time))
-    assert abs(np.nanmedian(arrivals) - (loop.time - loop.settings.period)) < 0.3
+    # It has to stay for a sample period, from the first sample within the tolerance on, which it
+    # may enter just before it arrives.
+    first = loop.time - 2.0 * loop.settings.period
+    assert first - loop.settings.period < np.nanmedian(arrivals) < first + 0.05
     rolled = np.sum(np.linalg.norm(np.diff(loop.places, axis=0), axis=1))
     # The pieces between knots count as straight, and the first plan was replaced by a better one.
     assert 0.8 * rolled < ways[0] < 1.1 * rolled and ways[-1] < 0.05
@@ -138,9 +110,9 @@ SCENARIOS = draw_scenarios(12, 21, "anywhere")
 
 def duration(scenario: Scenario, kind: Orientation) -> float:
     """Return the duration of the first plan [s]."""
-    goal, start = kind.nearest(scenario.goal, scenario.start), without_momentum(scenario.start)
-    situation = Situation.of(0.0, start, Goal(goal, kind), np.zeros(2), ROBOT.lumped)
-    return make_strategy(SETTINGS, ROBOT).plan(situation).arrival
+    goal = Goal(kind.nearest(scenario.goal, scenario.start), kind)
+    now = situation(goal, pose=scenario.start)
+    return make_strategy(SETTINGS, ROBOT).plan(now).arrival
 
 
 def test_first_plan_to_a_set_is_no_longer() -> None:
@@ -214,7 +186,7 @@ def followed(
         if count % 2 == 0 and now < gone:
             given = goal(now).copy()
             given[POSITION] += noise * rng.standard_normal(2)
-            loop.controller.follow(ActiveCourse(Course.of(Goal(given, kind))), now)
+            loop.controller.following.take(ActiveCourse(Course.of(Goal(given, kind))), now)
         loop.advance(0.5 * SPACING)
         near = kind.nearest(goal(loop.time), loop.pose)
         if loop.time > 8.0:
@@ -224,28 +196,30 @@ def followed(
     return loop, float(position), float(np.degrees(angle))
 
 
-@pytest.mark.parametrize(("noise", "position", "angle"), [(1e-3, 2e-3, 0.1), (5e-3, 1e-2, 3.0)])
-def test_sphere_rests_at_a_noisy_goal(noise: float, position: float, angle: float) -> None:
-    loop, *found = followed(line(np.zeros(2), 1), Orientation.FULL, noise)
-    assert found[0] < position and found[1] < angle
+@pytest.mark.parametrize("noise", [1e-3, 5e-3])
+def test_sphere_rests_at_a_noisy_goal(noise: float) -> None:
+    loop, position, angle = followed(line(np.zeros(2), 1), Orientation.FULL, noise)
+    # A goal that is given is off by 1.2 times the noise in the median, and is turned by nothing.
+    assert position < noise and angle < 0.25
     assert loop.controller.at_goal
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.3, 0.5])
 def test_point_that_moves_is_met_and_kept(speed: float) -> None:
     loop, position, _ = followed(line(speed * np.array([0.8, -0.6]), 2), Orientation.ANY)
-    assert position < 0.02
-    assert loop.controller.goal_speed(loop.time) == pytest.approx(speed, rel=1e-3)
+    assert position < 0.01 * speed, "what it moves in 10 ms"
+    assert loop.controller.following.goal_speed(loop.time) == pytest.approx(speed, rel=1e-3)
     assert loop.controller.at_goal
 
 
 def test_noisy_point_that_moves_is_kept() -> None:
-    assert followed(line(np.array([0.0, 0.3]), 3), Orientation.ANY, 5e-3)[1] < 0.02
+    assert followed(line(np.array([0.0, 0.3]), 3), Orientation.ANY, 5e-3)[1] < 5e-3
 
 
 def test_pose_that_moves_is_met_again_and_again() -> None:
     _, *found = followed(line(np.array([0.1, 0.0]), 4), Orientation.FULL, duration=24.0)
-    assert found[0] < 0.15 and found[1] < 30.0
+    # What it moves in a second, and 7 to 17 degrees; they are 86 where its motion is not foreseen.
+    assert found[0] < 0.1 and found[1] < 30.0
 
 
 @pytest.mark.parametrize("gone", [np.inf, 10.0], ids=["is still given", "is no longer given"])
@@ -253,7 +227,9 @@ def test_goal_that_stands_in_the_end_is_settled_at(gone: float) -> None:
     goal = line(np.array([0.1, 0.05]), 5, until=10.0)
     loop, *_ = followed(goal, Orientation.FULL, gone=gone, duration=20.0)
     assert loop.controller.at_goal
-    assert position_error(loop.pose, goal(10.0)) < 0.02
+    # The last one given may be that of the time before.
+    older = SPACING * math.hypot(0.1, 0.05) if gone == 10.0 else 0.0
+    assert position_error(loop.pose, goal(10.0)) < older + 1e-3
 
 
 def test_another_goal_is_no_motion() -> None:
@@ -274,7 +250,7 @@ def test_another_goal_is_no_motion() -> None:
 def test_goal_after_a_list_is_another_one_however_near_to_that_before_it() -> None:
     controller, near = SampledLoop(START).controller, upright_state(0.05, 0.0, 0.0)
     for k, poses in enumerate(([START], [START, near], [near])):
-        assert controller.follow(course(*poses), 0.1 * k)
+        assert controller.following.take(course(*poses), 0.1 * k)
     assert controller.active.is_last
 
 

@@ -10,7 +10,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, make_state, state_error
-from sphere_nmpc.ros import cdr
+from sphere_nmpc.ros import cdr_messages
 from sphere_nmpc.settings import ControllerSettings
 
 pytestmark = pytest.mark.slow
@@ -43,7 +43,7 @@ def test_sphere_settles_at_its_goal(start: Vector) -> None:
             if new is not None:
                 angles = angles if hold is None else angles + hold.turned(new.start)
                 hold = new
-                sent.append((time + LATE, cdr.trajectory_message(hold, angles)))
+                sent.append((time + LATE, cdr_messages.trajectory_message(hold, angles)))
         if sent and sent[0][0] <= time + 1e-9:
             followed = Interpolation(sent.pop(0)[1])
         if followed is not None:

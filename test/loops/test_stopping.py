@@ -11,12 +11,12 @@ from floor_plans import RADIUS
 from motions import largest_distance
 from sampled_loop import SampledLoop, check_hold
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.link import REACH
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import POSITION, QUATERNION, as_state
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios
 

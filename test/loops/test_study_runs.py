@@ -4,23 +4,27 @@
 
 import csv
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from inertial_runs import error_of
+from scipy.stats import chi2
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, QUATERNION, make_state, upright_state
+from sphere_nmpc.model.state import POSITION, QUATERNION, make_state, position_error, upright_state
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.cli.main import main as command
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
+from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import GivenPath, Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
@@ -98,7 +102,7 @@ def test_recorded_inputs_reproduce_speeds_and_states() -> None:
     for i in range(2):
         speeds = np.interp(trajectory.times, inputs.times, inputs.speeds[:, i])
         # Knot times are rounded to nanoseconds.
-        np.testing.assert_allclose(speeds, trajectory.speeds[:, i], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(speeds, trajectory.rotor_speeds.values[:, i], rtol=0, atol=1e-6)
     plant = RollingPlant(RobotParameters(), SCENARIO.start)
     for duration, end in zip(np.diff(inputs.times), inputs.speeds[1:], strict=True):
         plant.advance(end, float(duration))
@@ -227,6 +231,25 @@ def test_runs_on_an_odometry_are_judged_on_the_true_state() -> None:
     with pytest.raises(InvalidParameterError, match="latency"):
         simulator, controller = prepare(conditions, SCENARIO)
         run_closed_loop(simulator, controller, SCENARIO.goal, 1.0, 0.25, latency=0.1, poses=list)
+
+
+def test_deviations_that_odometry_and_controller_state_cover_their_errors() -> None:
+    noises = {"pose_position_noise": "1e-3", "pose_orientation_noise": "2e-3"}
+    settings = {"simulator.pose_source": "odometry", **noises}
+    conditions, squares = StudyConditions().with_settings(settings.items()), []
+    for scenario in draw_scenarios(4, 9):
+        simulator, controller = prepare(conditions, scenario)
+        poses = OdometryPoses(simulator, simulator.imu, conditions.odometry, conditions.robot)
+        run = run_closed_loop(simulator, controller, scenario.goal, 3.0, 0.25, poses=poses)
+        poses()
+        squares.append(error_of(poses.odometry, simulator.plant.state)[1])
+        decision, spread = run.decisions[-1], poses.odometry.estimate.covariance[:2, :2]
+        then = run.states[np.argmin(np.abs(run.times - 2.75))]
+        # Of the pose that it is given, and of its own estimate from that.
+        stated = math.sqrt(np.trace(spread)) + decision.position_deviation
+        assert position_error(decision.state, then) < 3.0 * stated < 0.1
+    # Of four runs with five degrees of freedom, 99.5 % of the sums are below this.
+    assert np.mean(squares) < chi2.ppf(0.995, 5 * 4) / 4
 
 
 def test_map_adds_columns_to_the_table_and_the_summary(map_file, tmp_path, capsys) -> None:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Searches for the earliest arrival: in line and by a worker, near and far, changed on the way."""
 
-import itertools
 import time
 from dataclasses import replace
 from typing import Any
@@ -10,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from delayed_worker import DelayedWorker
+from motions import largest_slope
 from robots import GIANT
 from sampled_loop import ROBOT, SampledLoop, check_hold
+from situations import situation
 
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -29,10 +30,10 @@ from sphere_nmpc.model.state import (
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.time_optimal import strategy
-from sphere_nmpc.strategy.time_optimal.background import SearchTask, later, solver_for
+from sphere_nmpc.strategy.plan import PlanStatus
+from sphere_nmpc.strategy.time_optimal.background import later
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.search_task import SearchTask, solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
@@ -50,48 +51,35 @@ CONSTANTS = ROBOT.lumped.as_array()
 LIMIT = ROBOT.max_rotor_acceleration
 
 
-@pytest.fixture(autouse=True)
-def search_of_any_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a search use its whole effort, however busy the machine is."""
-    tuning = TimeOptimalSettings(longest_search=np.inf)
-    monkeypatch.setattr(strategy, "TimeOptimalSettings", lambda: tuning)
-
-
-def situation(start: Vector, goal: Vector) -> Situation:
-    return Situation.of(0.0, without_momentum(start), goal, np.zeros(2), ROBOT.lumped)
-
-
 def with_plant(now: Situation, **known: Any) -> Situation:
     return replace(now, plant=replace(now.plant, **known))
 
 
 def of_case(case: int) -> Situation:
-    return situation(PAPER_CASES[case].start, PAPER_CASES[case].goal)
+    return situation(PAPER_CASES[case].goal, pose=PAPER_CASES[case].start)
 
 
 def planner(settings: ControllerSettings = SETTINGS) -> TimeOptimalStrategy:
     return TimeOptimalStrategy(settings, ROBOT)
 
 
-def steepest(plan: Plan) -> float:
-    slopes = np.diff(plan.hold.speeds, axis=0) / np.diff(plan.hold.times)[:, None]
-    return float(np.max(np.abs(slopes)))
-
-
 def end_of(start: Vector, hold: FirstOrderHold, step: float) -> Vector:
     return roll_out(start, hold.speeds, np.diff(hold.times), CONSTANTS, step)[-1]
 
 
-def test_search_stops_at_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    readings = itertools.count()
-    monkeypatch.setattr(time, "perf_counter", lambda: next(readings))
+def test_search_ends_at_its_deadline_with_what_is_under_way(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     search = ArrivalSearch(SOLVER, of_case(1), 5)
-    # The clock advances by a second with each reading, and is read before each initial guess.
-    search.improve(100_000_000, deadline=4.5)
-    assert 0 < search.work < 20_000
-    done = search.work
-    search.improve(100_000_000, deadline=4.5)
-    assert search.work == done
+    # A clock by which all work takes as long as is counted.
+    monkeypatch.setattr(time, "perf_counter", lambda: 1e-6 * search.work)
+    for deadline in (0.005, 0.02):
+        search.improve(100_000_000, deadline)
+        done = search.work
+        # A draw of guesses, or one solve.
+        assert deadline <= 1e-6 * done < deadline + 0.01
+        search.improve(100_000_000, deadline)
+        assert search.work == done
 
 
 def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> None:
@@ -109,14 +97,14 @@ def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> Non
         assert state_error(plant.state, scenario.goal) < 1e-3
 
 
-def test_search_goes_on_from_what_it_found_repeats_itself_and_never_gets_worse() -> None:
-    first, second = (ArrivalSearch(SOLVER, of_case(1), 3) for _ in range(2))
+def test_search_goes_on_to_an_earlier_arrival_and_repeats_itself() -> None:
+    first, second = (ArrivalSearch(SOLVER, of_case(1), 2) for _ in range(2))
     durations = []
     for _ in range(4):
         found, again = first.improve(20_000), second.improve(20_000)
         durations.append(np.inf if found is None else found.duration)
-    assert durations == sorted(durations, reverse=True)
-    assert durations[-1] < 7.5
+    # By another motion: polishing the same one again gains less.
+    assert durations[-1] < durations[0] - 0.05 and durations[0] < 7.5
     assert found is not None and again is not None
     np.testing.assert_array_equal(found.hold.speeds, again.hold.speeds)
 
@@ -144,7 +132,7 @@ def test_used_and_reset_strategy_plans_like_a_new_one(settings: ControllerSettin
 def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
     now = of_case(3)
     weak = with_plant(now, acceleration=0.5 * LIMIT)
-    assert steepest(planner().plan(weak)) <= 0.5 * LIMIT
+    assert largest_slope(planner().plan(weak).hold) <= 0.5 * LIMIT
     plan = planner().plan(now)
     assert plan.status is PlanStatus.SOLVED
     same = planner().plan(with_plant(now, acceleration=1.1 * LIMIT))
@@ -156,11 +144,11 @@ def test_attained_acceleration_is_used_and_no_time_leads_to_no_plan() -> None:
 def test_plan_that_is_followed_keeps_to_an_acceleration_learnt_meanwhile() -> None:
     attained, now, used = 300.0, of_case(1), planner()
     plan = used.plan(now)
-    assert steepest(plan) > 1.2 * attained
+    assert largest_slope(plan.hold) > 1.2 * attained
     moving = later(now, plan.hold, SETTINGS.period, 0.05)
     slower = used.plan(with_plant(moving, acceleration=attained))
     assert slower.status is PlanStatus.SOLVED
-    assert steepest(slower) < TUNING.attained_share * attained + 1e-3
+    assert largest_slope(slower.hold) < TUNING.attained_share * attained + 1e-3
 
 
 @pytest.mark.parametrize(
@@ -184,7 +172,7 @@ def test_robot_with_a_short_sample_period_gets_a_plan() -> None:
     used = TimeOptimalStrategy(ControllerSettings(sample_period=0.25).of(GIANT), GIANT)
     start = as_state([0.84790488, 0.29017925, 0.19692412, -0.27732079, -0.44550596, -0.82815368])
     goal = as_state([1.47793416, -2.61861649, 0.02288625, 0.35419605, 0.7080808, -0.61044489])
-    now = with_plant(situation(start, goal), constants=GIANT.lumped)
+    now = with_plant(situation(goal, pose=start), constants=GIANT.lumped)
     statuses = [used.plan(replace(now, time=0.25 * k)).status for k in range(5)]
     assert statuses[-1] is PlanStatus.SOLVED
 
@@ -219,7 +207,7 @@ def test_path_is_straight_from_the_start_at_every_distance(strategy, distance) -
 def drawn(distance: float, seed: int) -> Situation:
     rng = np.random.default_rng(seed)
     start = make_state((0.0, 0.0), random_quaternion(rng))
-    return situation(start, make_state(distance * DIRECTION, random_quaternion(rng)))
+    return situation(make_state(distance * DIRECTION, random_quaternion(rng)), pose=start)
 
 
 @pytest.mark.parametrize("distance", [8.0, 100.0])
@@ -240,8 +228,12 @@ def test_known_arrival_is_improved_and_the_goal_is_reached_at_top_speed() -> Non
     now = drawn(25.0, seed=2)
     found = ArrivalSearch(SOLVER, now, 0).improve(60_000)
     assert found is not None
-    better = ArrivalSearch(SOLVER, now, 1, known=found).improve(40_000)
-    assert better is not None and better.duration <= found.duration
+    # Without momentum the same path is rolled along in more time.
+    hold = FirstOrderHold(1.05 * found.hold.times, found.hold.speeds / 1.05)
+    goal = replace(found.leg.goal, since=hold.end)
+    slower = replace(found, hold=hold, leg=replace(found.leg, goal=goal))
+    better = ArrivalSearch(SOLVER, now, 1, known=slower).improve(40_000)
+    assert better is not None and better.duration < 0.99 * slower.duration
     loop = far_loop(15.0)
     loop.run(15.0 / ROLLING.speed + 3.0)
     assert loop.error() < 1e-3
@@ -326,7 +318,7 @@ def test_without_a_worker_to_be_had_it_is_searched_in_line() -> None:
 def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is() -> None:
     now, used = 0.0, planner(HIGH_RATE)
     used.search_beside(DelayedWorker(lambda: now, SEARCH))
-    begun = situation(FIRST.start, FIRST.goal)
+    begun = situation(FIRST.goal, pose=FIRST.start)
     assert used.plan(begun).status is PlanStatus.RAMP_TO_REST
     now, carried = SEARCH, without_momentum(FIRST.start)
     carried[POSITION] += 0.3

@@ -15,7 +15,7 @@ import pytest
 from children import wait_for_end
 from patience import PATIENCE, until
 
-from sphere_nmpc.child import END_SIGNALS, Child, ChildEndedError, python_command
+from sphere_nmpc.process.child import END_SIGNALS, Child, ChildEndedError, python_command
 from sphere_sim.ros.session.process_set import ProcessSet
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE
 
-from sphere_nmpc.child import END_SIGNALS
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.process.child import END_SIGNALS
 from sphere_sim.cli.exits import Signals, guarded, if_interrupted
 from sphere_sim.output.error_text import in_words
 

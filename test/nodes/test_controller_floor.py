@@ -21,7 +21,7 @@ from patience import PATIENCE
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_graph import Graph, forget_faults, running_graph, values_of
+from ros_graph import Graph, forget_faults, parameters_of, running_graph, values_of
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
@@ -102,18 +102,13 @@ class Floors:
 
     def set(self, **values: Any) -> Any:
         """Return the answer to a change of parameters, which waits for the floor."""
-        changes = [Parameter(name, value=value) for name, value in values.items()]
-        return self.node.set_parameters_atomically(changes)
+        return self.node.set_parameters_atomically(parameters_of(values))
 
-    def asked(self, atomically: bool = False, **values: Any) -> Any:
+    def asked(self, kind: Any = SetParameters, **values: Any) -> Any:
         """Return the future of the answer to a request to change parameters."""
-        kind, name = SetParameters, "set_parameters"
-        if atomically:
-            kind, name = SetParametersAtomically, "set_parameters_atomically"
-        client = self.graph.probe.create_client(kind, f"controller/{name}")
-        self.graph.until(client.service_is_ready)
-        changes = [Parameter(key, value=value).to_parameter_msg() for key, value in values.items()]
-        return client.call_async(kind.Request(parameters=changes))
+        name = "set_parameters" + "_atomically" * (kind is SetParametersAtomically)
+        changes = [parameter.to_parameter_msg() for parameter in parameters_of(values)]
+        return self.graph.ask(kind, f"controller/{name}", parameters=changes)
 
     def refused(self, kind: str) -> int:
         return self.node._fault_log.counts[f"{kind} refused"]
@@ -356,7 +351,7 @@ def test_request_is_answered_when_its_floor_is_in_force_and_the_node_goes_on(
 
 def test_request_that_is_refused_in_part_or_late_is_not_in_force(floors, tmp_path) -> None:
     graph = floors.graph
-    answer = floors.asked(atomically=True, floor=EDGE, control_rate=-1.0)
+    answer = floors.asked(SetParametersAtomically, floor=EDGE, control_rate=-1.0)
     graph.until(answer.done)
     refused = answer.result().result
     assert not refused.successful and "control_rate" in refused.reason
@@ -367,7 +362,7 @@ def test_request_that_is_refused_in_part_or_late_is_not_in_force(floors, tmp_pat
     file, clearance, other = answer.result().results
     assert not file.successful and "given a pipe, expected a regular file" in file.reason
     assert clearance.successful and not other.successful
-    answer = floors.asked(atomically=True, floor=EDGE, clearance=0.3)
+    answer = floors.asked(SetParametersAtomically, floor=EDGE, clearance=0.3)
     graph.until(answer.done)
     assert answer.result().result.successful and floors.floor.clearance == 0.3
     assert distance(floors.node, 2.5, 1.5) == 0.0

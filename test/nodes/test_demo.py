@@ -134,7 +134,7 @@ def test_case_1_arrives_and_leaves_its_folder(tmp_path) -> None:
         assert (folder / figure).stat().st_size > 20_000
     assert "time_optimal" in output and "paper" in output
     run = read_run(folder / "bag")
-    assert run.notes == () and run.goal_times[0] < 0.05
+    assert run.notes == () and run.goals.times[0] < 0.05
     np.testing.assert_allclose(run.states[0], PAPER_CASES[1].start, atol=1e-12)
 
 

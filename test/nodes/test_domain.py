@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 from patience import until
 from ros_graph import started
 
-from sphere_nmpc.child import Child
+from sphere_nmpc.process.child import Child
 from sphere_nmpc.ros.network import use_loopback_only
 from sphere_sim.ros.session import other_publishers
 from sphere_sim.ros.session.domain import own_domain
@@ -44,7 +44,7 @@ def simulator(monkeypatch) -> Iterator[Child]:
     """A simulator in the domain of this session, once it is found there."""
     # The duration of a search is measured, not tested: a busy machine may need more.
     monkeypatch.setattr(other_publishers, "_SEARCHES", {True: (10.0,), False: (10.0,)})
-    with started("simulator", "-p", "start_paused:=true") as process:
+    with started("simulator", start_paused=True) as process:
         until(find_publishers)
         yield process
 

@@ -6,15 +6,14 @@ import csv
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from documented_examples import EXAMPLES, example_command, forms, printed, run_example
 from launch_stand_in import ROOT
 from patience import LOCKSTEP, PATIENCE
-from ros_graph import started
+from ros_graph import started_pair
 
 from sphere_sim.ros.session.process_set import parameter_options, verb_command
 
@@ -24,17 +23,10 @@ PATIENT = ("--ros-args", *parameter_options({"patience": PATIENCE}))
 OWN_ROBOT = ("--params-file", "examples/own_robot.yaml")
 
 
-@contextmanager
-def nodes(*options: str) -> Iterator[None]:
+def nodes(*options: str) -> AbstractContextManager[None]:
     """Run simulator and controller as fast as they can."""
-    given = {
-        "simulator": {**LOCKSTEP, "real_time_factor": 0.0},
-        "controller": {"use_sim_time": True, "lockstep": True, "goal_memory": 0.0},
-    }
-    with ExitStack() as processes:
-        for verb, parameters in given.items():
-            processes.enter_context(started(verb, *options, *parameter_options(parameters)))
-        yield
+    return started_pair(*options, simulator=LOCKSTEP | {"real_time_factor": 0.0},
+                        controller={"goal_memory": 0.0})
 
 
 def test_goals_are_reached_in_turn_also_if_the_nodes_start_later() -> None:

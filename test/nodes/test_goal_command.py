@@ -13,7 +13,7 @@ from ros_graph import running_graph, started
 from std_srvs.srv import SetBool
 from verb_process import start
 
-from sphere_nmpc.child import stop_together
+from sphere_nmpc.process.child import stop_together
 from sphere_sim.ros.session.goal_command import main
 
 pytestmark = pytest.mark.slow
@@ -46,7 +46,7 @@ def test_goal_that_no_controller_confirms_exits_with_1(capsys, monkeypatch) -> N
 
 def test_what_the_controller_waits_for_is_told_with_the_remedy(capsys, monkeypatch) -> None:
     monkeypatch.setattr("sphere_sim.ros.session.goal_command._ANSWER_TIMEOUT", PATIENCE)
-    with started("controller", "-p", "use_sim_time:=true"):
+    with started("controller", use_sim_time=True):
         told = ""
         while "no publisher" not in told:
             assert main(["1", "0", "--yaw", "1", "--timeout", str(PATIENCE)]) == 0
@@ -86,7 +86,7 @@ def robot(tmp_path_factory) -> Iterator[Robot]:
 
 def enable(data: bool) -> None:
     with running_graph() as graph:
-        assert graph.call(SetBool, "controller/enable", SetBool.Request(data=data)).success
+        assert graph.call(SetBool, "controller/enable", data=data).success
 
 
 def test_command_waits_for_the_arrival_of_a_pose_a_point_several_goals_and_a_path(

@@ -9,8 +9,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.graph_monitor import (
     INVALID,

@@ -81,9 +81,8 @@ def wanting(graph, request) -> Wanting:
     """Return the node, which is served by an executor of its own."""
     node, executor = Wanting(), _make_executor(request.param)
     assert isinstance(executor, SingleThreadedExecutor) is not request.param
-    executor.add_node(node)
-    graph._nodes.append(node)
-    graph._busy[node] = executor
+    graph.serve(node, executor)
+    graph._busy.append(node)
     return node
 
 
@@ -119,25 +118,23 @@ def test_messages_after_those_that_fail_are_taken_at_once(graph, wanting, capfd)
 
 
 def test_request_that_fails_is_answered_with_the_reason(graph, wanting, capfd) -> None:
-    refused = graph.call(SetBool, "switch", SetBool.Request(data=False))
+    refused = graph.call(SetBool, "switch", data=False)
     assert (refused.success, refused.message) == (False, "RuntimeError 'stuck'")
-    assert graph.call(SetBool, "switch", SetBool.Request(data=True)).success
+    assert graph.call(SetBool, "switch", data=True).success
     good = Parameter(name="number", value=ParameterValue(type=2, integer_value=7))
     unknown = Parameter(name="number", value=ParameterValue(type=99))
-    request = SetParameters.Request(parameters=[good, unknown, unknown])
-    results = graph.call(SetParameters, "wanting/set_parameters", request).results
+    several = [good, unknown, unknown]
+    results = graph.call(SetParameters, "wanting/set_parameters", parameters=several).results
     assert [result.successful for result in results] == [True, False, False]
     assert "99 is not a valid Parameter.Type" in results[1].reason
     assert results[2].reason == "one before it was refused"
     assert wanting.get_parameter("number").value == 7
-    request = SetParametersAtomically.Request(parameters=[unknown])
     result = graph.call(
-        SetParametersAtomically, "wanting/set_parameters_atomically", request
+        SetParametersAtomically, "wanting/set_parameters_atomically", parameters=[unknown]
     ).result
     assert not result.successful and "99 is not a valid" in result.reason
     described = graph.call(
-        GetTypeDescription, "wanting/get_type_description",
-        GetTypeDescription.Request(type_hash="a\n[FATAL] forged"),
+        GetTypeDescription, "wanting/get_type_description", type_hash="a\n[FATAL] forged",
     )
     assert not described.successful and "a\\n[FATAL] forged" in described.failure_reason
     of_requests = [line for line in warnings(capfd) if "failed" not in line]
@@ -148,19 +145,17 @@ def test_request_that_fails_is_answered_with_the_reason(graph, wanting, capfd) -
 
 
 def test_answer_that_has_to_be_waited_for_holds_nothing_up(graph, wanting, capfd) -> None:
-    client = graph.probe.create_client(SetBool, "later")
-    graph.until(client.service_is_ready)
-    answers = [client.call_async(SetBool.Request(data=True)) for _ in range(2)]
+    answers = [graph.ask(SetBool, "later", data=True) for _ in range(2)]
     ticks = wanting.ticks
     graph.until(lambda: wanting.ticks > ticks + 20)
     assert not any(answer.done() for answer in answers)
-    early = graph.call(SetBool, "later", SetBool.Request(data=False))
+    early = graph.call(SetBool, "later", data=False)
     assert not early.success and early.message.startswith("TimeoutError")
     wanting.known.set_result(True)
     graph.until(lambda: all(answer.done() for answer in answers))
     assert all(answer.result().success for answer in answers)
     wanting.known = Future()
-    failing = client.call_async(SetBool.Request(data=True))
+    failing = graph.ask(SetBool, "later", data=True)
     ticks = wanting.ticks
     graph.until(lambda: wanting.ticks > ticks + 20)
     wanting.known.set_exception(KeyError("nothing"))

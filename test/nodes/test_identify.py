@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command ``identify`` on a bag that nodes have recorded, and nodes that take its file."""
 
-import time
 from pathlib import Path
 
 import pytest
 import yaml
 from documented_examples import run_example
-from patience import PATIENCE
+from patience import until
 from ros_graph import running_graph, started
 
 from sphere_nmpc.model.parameters import RobotParameters
@@ -19,7 +18,6 @@ from sphere_sim.cli.main import main
 from sphere_sim.identification.identify import Identified
 from sphere_sim.identification.robot_file import Entry, written
 from sphere_sim.ros.recorder.node import RecorderNode
-from sphere_sim.ros.session.process_set import parameter_options
 from sphere_sim.ros.simulator.node import SimulatorNode
 
 pytestmark = pytest.mark.slow
@@ -33,14 +31,11 @@ def test_robot_is_identified_from_the_motion_of_the_example(tmp_path, capsys) ->
     bag, file = tmp_path / "bag", tmp_path / "robot.yaml"
     recording = {"output": str(bag), "topics": ["pose", "joint_states", "rotor_commands", "imu"],
                  "use_sim_time": True}
-    simulated = TRUE | POSES | START
-    with started("simulator", *parameter_options(simulated)):
-        with started("recorder", *parameter_options(recording)):
-            end = time.monotonic() + PATIENCE
-            while not list(bag.glob("*.mcap")) and time.monotonic() < end:
-                time.sleep(0.05)
-            done = run_example("identification_motion.py", "--ros-args",
-                               *parameter_options({"use_sim_time": True}))
+    with started("simulator", **TRUE, **POSES, **START):
+        with started("recorder", **recording):
+            until(lambda: list(bag.glob("*.mcap")))
+            done = run_example("identification_motion.py", "--ros-args", "-p",
+                               "use_sim_time:=true")
         assert done.returncode == 0, done.stderr
     assert main(["identify", str(bag), "--out", str(file)]) == 0
     printed = capsys.readouterr().out

@@ -179,14 +179,14 @@ def test_wrong_change_is_refused_with_the_reason(controller, name, value, words)
 def test_values_that_a_node_has_can_be_loaded_again(graph, nodes, name) -> None:
     names = sorted(nodes[name].list_parameters([], depth=0).names)
     path = f"/second/{name}"
-    found = graph.call(GetParameters, f"{path}/get_parameters", GetParameters.Request(names=names))
+    found = graph.call(GetParameters, f"{path}/get_parameters", names=names)
     dumped = [
         ParameterMessage(name=one, value=value)
         for one, value in zip(names, found.values, strict=True)
     ]
     kinds = {SetParameters: "set_parameters", SetParametersAtomically: "set_parameters_atomically"}
     for kind, service in kinds.items():
-        answer = graph.call(kind, f"{path}/{service}", kind.Request(parameters=dumped))
+        answer = graph.call(kind, f"{path}/{service}", parameters=dumped)
         results = getattr(answer, "results", None) or [answer.result]
         assert [one.reason for one in results if not one.successful] == []
         assert len(results) == (len(names) if kind is SetParameters else 1)
@@ -198,7 +198,7 @@ def test_other_value_of_a_read_only_parameter_is_refused_by_the_service(
 ) -> None:
     given = [Parameter("horizon", value=horizon).to_parameter_msg()]
     kind, name = SetParametersAtomically, "/second/controller/set_parameters_atomically"
-    result = graph.call(kind, name, kind.Request(parameters=given)).result
+    result = graph.call(kind, name, parameters=given).result
     assert not result.successful and "read-only" in result.reason
 
 

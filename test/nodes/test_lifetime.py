@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.child import Child, python_command
+from sphere_nmpc.process.child import Child, python_command
 from sphere_nmpc.ros.cdr import hold_and_stamp
 from sphere_nmpc.ros.messages import pose_to_ros, stamp_to_ros
 from sphere_nmpc.ros.startup import RosArgumentsError, without_ros_arguments
@@ -30,10 +30,12 @@ from sphere_sim.scenario.scenarios import PAPER_CASES
 pytestmark = pytest.mark.slow
 
 CASE = PAPER_CASES[1]
+
+
 def test_last_command_is_a_ramp_to_rest_after_ctrl_c_also_twice(graph) -> None:
     trajectories = graph.collect(JointTrajectory, "rotor_trajectory")
     commands = graph.collect(Float64MultiArray, "rotor_commands")
-    with started("controller", "-p", "use_sim_time:=true", "-p", "strategy:=paper") as controller:
+    with started("controller", use_sim_time=True, strategy="paper") as controller:
         goals = graph.publisher(PoseStamped, "goal_pose")
         poses = graph.publisher(PoseStamped, "pose")
         clock = graph.publisher(Clock, "/clock")

@@ -23,7 +23,7 @@ from sphere_sim.ros.simulator.node import SimulatorNode
 from sphere_sim.viewer.source import SetGoal
 
 SECOND = ("-r", "__ns:=/second")
-FOLLOW = ("-p", "use_sim_time:=true")
+FOLLOW = {"use_sim_time": True}
 GOALS = ([1.5, -2.5, 1, 0, 0, 0], [2.5, -3.5, 0, 1, 0, 0])
 
 
@@ -40,12 +40,11 @@ def test_robot_in_a_namespace_is_one_of_its_own_and_both_reach_their_goals(graph
 
     with started("simulator"), started("simulator", *SECOND):
         graph.until(lambda: clock and all(poses))
-        with started("controller", *FOLLOW) as first, started(
-            "controller", *FOLLOW, *SECOND
+        with started("controller", **FOLLOW) as first, started(
+            "controller", *SECOND, **FOLLOW
         ) as second:
             for prefix, goal in zip(prefixes, GOALS, strict=True):
-                message = pose_to_ros(as_state(np.array(goal, float)), 0, 0.3)
-                graph.publisher(PoseStamped, f"{prefix}goal_pose").publish(message)
+                graph.send_goal(as_state(np.array(goal, float)), topic=f"{prefix}goal_pose")
             graph.until(lambda: odometry and len(reported()) == 8)
             graph.until(lambda: all(received and received[-1].data for received in arrivals))
             graph.until(
@@ -94,7 +93,7 @@ def test_every_message_is_in_the_frame_that_is_set(graph) -> None:
     graph.until(lambda: controller._fault_log.counts["goal_pose refused"] == 1)
     # A goal of the viewer is in whatever frame the controller has.
     graph.until(lambda: source.handle(SetGoal(places[2])) == "" and reaches(places[2]))
-    graph.publisher(Vector3, "simulator/push").publish(Vector3(x=0.1))
+    graph.send("simulator/push", Vector3(x=0.1))
     graph.until(lambda: all(received.values()) and markers and len(markers[-1].markers) == 5)
     for topic, messages in received.items():
         assert {message.header.frame_id for message in messages} == {"map"}, topic

@@ -22,8 +22,6 @@ from geometry_msgs.msg import PoseStamped
 from navigation_client import drawn, pose
 from navigation_session import Session
 from patience import PATIENCE
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from ros_graph import running_graph
 
 from sphere_sim.ros.session.process_set import ProcessSet, verb_command
@@ -41,10 +39,8 @@ ROWS = [
 def session(tmp_path_factory) -> Iterator[Session]:
     navigation_messages.provide()
     folder = tmp_path_factory.mktemp("session")
-    with pytest.MonkeyPatch.context() as patch, running_graph() as graph:
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))  # the stored goal
-        with ProcessSet(folder) as processes:
-            yield Session(graph, processes)
+    with running_graph() as graph, ProcessSet(folder) as processes:
+        yield Session(graph, processes)
     log = (folder / "navigator.log").read_text()
     for warning in re.findall(r"\[WARN\] \S+ \[navigator\]: (.*)", log):
         assert any(row.match(warning) for row in ROWS), warning
@@ -80,10 +76,7 @@ def test_goals_cancels_and_takeovers_have_one_right_end_each(session) -> None:
 
 
 def set_floor(session: Session, corners: str) -> None:
-    given = [Parameter("floor", value=corners).to_parameter_msg()]
-    request = SetParameters.Request(parameters=given)
-    answer = session.graph.call(SetParameters, "controller/set_parameters", request)
-    assert answer.results[0].successful
+    assert session.graph.set_parameters("controller", floor=corners)[0].successful
 
 
 @pytest.mark.slow

@@ -15,9 +15,8 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from patience import PATIENCE, until
 
-from sphere_nmpc.child import Child, stop_together
+from sphere_nmpc.process.child import Child, stop_together
 from sphere_nmpc.ros.guarded_node import LATCHED
-from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.network import (
     DISCOVERY_RANGE,
     LOCALHOST_ONLY,
@@ -195,8 +194,7 @@ def test_node_of_a_user_without_home_exchanges_messages_with_one_of_root(graph, 
     try:
         until(lambda: "reachable" in node.output or not node.running)
         confirmed = graph.collect(PoseStamped, "controller/active_goal", LATCHED)
-        goals = graph.publisher(PoseStamped, "goal_pose")
-        goals.publish(pose_to_ros(PAPER_CASES[1].goal, 0, 0.3))
+        graph.send_goal(PAPER_CASES[1].goal)
         graph.until(lambda: confirmed)
         node.send(signal.SIGTERM)
         assert node.wait(PATIENCE) == 0, node.output

@@ -8,19 +8,14 @@ import pytest
 from rclpy.parameter import Parameter
 from robot_at_rest import STEP, RobotAtRest, exact
 
-from sphere_nmpc.conditions import ERROR, OK
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation import mounting
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import ERROR, OK
 from sphere_nmpc.ros.odometry.node import OdometryNode
 
 AHEAD = 1000 * NANOSECONDS
 UPRIGHT = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-
-
-@pytest.fixture(autouse=True)
-def cache(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def once(number: int, now: int) -> int:

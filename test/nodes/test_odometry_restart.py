@@ -8,7 +8,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from robot_at_rest import STEP, RobotAtRest
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.conditions import ERROR, OK
 from sphere_nmpc.model.state import (
     DEFAULT_START,
     Vector,
@@ -16,14 +15,10 @@ from sphere_nmpc.model.state import (
     position_error,
     upright_state,
 )
+from sphere_nmpc.reporting.conditions import ERROR, OK
 from sphere_nmpc.ros.messages import pose_to_ros
 
 PLACE = upright_state(1.2, -0.4, 0.7)
-
-
-@pytest.fixture(autouse=True)
-def cache(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def put(robot: RobotAtRest, pose: Vector) -> None:
@@ -52,7 +47,7 @@ def is_at_place(robot: RobotAtRest) -> bool:
 def assert_lost(robot: RobotAtRest, reason: str) -> None:
     level, message = robot.status
     assert level == ERROR and message.startswith("position not known: given the pose of "), message
-    assert reason in message and "until pose_fix or initialpose tells it" in message
+    assert reason in message and "until pose_fix or initialpose gives it" in message
     assert not robot.poses and robot.node.odometry.is_lost
     assert np.trace(robot.node.odometry.estimate.covariance[:2, :2]) > 1.0
     put(robot, PLACE)
@@ -70,7 +65,7 @@ def test_node_goes_on_where_the_sphere_rests_as_it_did(robot, ended) -> None:
     robot.start(initial_state=[9.0, 9.0, 1.0, 0.0, 0.0, 0.0])
     robot.stay(3.0)
     assert is_at_place(robot)
-    deviation = float(robot.node._reports._last[2]["position_deviation_m"])
+    deviation = float(robot.node._reports.report[2]["position_deviation_m"])
     assert 1e-3 < deviation < 0.01
 
 

@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from verb_process import start
 
-from sphere_nmpc.child import Child
+from sphere_nmpc.process.child import Child
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_sim.ros.recorder.node import RecorderNode, _message_class
 
@@ -44,7 +44,7 @@ def record(tmp_path):
 
 def received(graph, namespace: str = "") -> set[str]:
     """Return the topics of which the node has received a message."""
-    answer = graph.call(Trigger, f"{namespace}/recorder/is_recording", Trigger.Request())
+    answer = graph.call(Trigger, f"{namespace}/recorder/is_recording")
     lines = answer.message.splitlines()
     return {line.partition(" ")[2] for line in lines if line.startswith("received")}
 
@@ -105,7 +105,7 @@ def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
                        "-r", "__ns:=/left")
 
     def call(verb: str) -> Trigger.Response:
-        return graph.call(Trigger, f"/left/recorder/{verb}", Trigger.Request())
+        return graph.call(Trigger, f"/left/recorder/{verb}")
 
     assert not call("is_recording").success and not call("stop").success
     assert call("start").success
@@ -115,8 +115,7 @@ def test_start_and_stop_make_separate_bags(graph, record, tmp_path) -> None:
     assert call("stop").success
     second = call("start")
     assert second.success and second.message.endswith("bag_1")
-    publisher = graph.publisher(DiagnosticArray, "/diagnostics")
-    publisher.publish(DiagnosticArray())
+    graph.send("/diagnostics", DiagnosticArray())
     graph.until(lambda: received(graph, "/left"))
     recording.send(signal.SIGINT)
     recording.wait(PATIENCE)

@@ -12,7 +12,6 @@ from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
@@ -103,11 +102,11 @@ def test_late_trajectory_is_told_where_it_matters_and_then_stops_the_rotors(grap
 
     graph.until(lambda: node.simulator.now > 500 * MS)
     send(trajectory((0.0, (0.0, 1e-3)), (0.05, (0.0, 0.0)), stamp=400 * MS))
-    graph.call(SetBool, "simulator/pause", SetBool.Request(data=True))
+    graph.call(SetBool, "simulator/pause", data=True)
     ramp = trajectory((0.0, (0.0, 0.0)), (0.1, (40.0, 0.0)), (0.2, (0.0, 0.0)),
                       stamp=node.simulator.now + 200 * MS)
     send(ramp)
-    graph.call(SetBool, "simulator/pause", SetBool.Request(data=False))
+    graph.call(SetBool, "simulator/pause", data=False)
     graph.until(lambda: node.simulator.now > stamp_from_ros(ramp.header.stamp) + 250 * MS)
     send(ramp)
     assert not node._fault_log.counts, "neither moves anything"
@@ -125,10 +124,10 @@ def test_late_trajectory_is_told_where_it_matters_and_then_stops_the_rotors(grap
 
 def test_clock_stops_goes_one_sample_and_runs_on(graph) -> None:
     def pause(wanted: bool) -> bool:
-        return graph.call(SetBool, "simulator/pause", SetBool.Request(data=wanted)).success
+        return graph.call(SetBool, "simulator/pause", data=wanted).success
 
     def step():
-        return graph.call(Trigger, "simulator/step", Trigger.Request())
+        return graph.call(Trigger, "simulator/step")
 
     node = graph.start(SimulatorNode, real_time_factor=10.0)
     refused = step()
@@ -154,12 +153,10 @@ def test_reset_returns_to_the_start_and_never_turns_the_clock_back(graph) -> Non
     node = graph.start(SimulatorNode, real_time_factor=10.0, command_timeout=60.0)
     poses = graph.collect(PoseStamped, "pose")
     clock = graph.collect(Clock, "/clock")
-    graph.publisher(Float64MultiArray, "rotor_commands").publish(
-        Float64MultiArray(data=[80.0, 30.0])
-    )
+    graph.send("rotor_commands", Float64MultiArray(data=[80.0, 30.0]))
     start = np.array([2.0, -3.0])
     graph.until(lambda: poses and np.linalg.norm(pose_from_ros(poses[-1])[:2] - start) > 0.1)
-    assert graph.call(Trigger, "simulator/reset", Trigger.Request()).success
+    assert graph.call(Trigger, "simulator/reset").success
     graph.until(lambda: np.allclose(pose_from_ros(poses[-1])[:2], start, atol=1e-12))
     received = len(poses)
     graph.until(lambda: len(poses) > received + 20)
@@ -181,9 +178,9 @@ def test_stamps_are_those_of_the_system_clock_which_nothing_stops(
         # The clocks differ by 1.8e9 s; a message may take a minute on a busy machine.
         assert abs(now - stamp_from_ros(message.header.stamp)) < 60_000 * MS
     assert graph.probe.count_publishers("/clock") == 0
-    answer = graph.call(SetBool, "simulator/pause", SetBool.Request(data=True))
+    answer = graph.call(SetBool, "simulator/pause", data=True)
     assert not answer.success and "clock: system" in answer.message
-    assert not graph.call(Trigger, "simulator/step", Trigger.Request()).success
+    assert not graph.call(Trigger, "simulator/step").success
     result = node.set_parameters([Parameter("real_time_factor", value=2.0)])[0]
     assert not result.successful and "clock: system" in result.reason
     with pytest.raises(InvalidParameterError, match=r"lockstep.*clock: system"):
@@ -203,10 +200,9 @@ def test_push_by_topic_or_service_gives_its_momentum_and_is_published(graph, cap
     node = graph.start(SimulatorNode, plant=plant, push_impulse=[0.0, 2.0], **friction)
     assert node.get_parameter("rigid_body.friction").value == 0.5
     pushed = graph.collect(Vector3Stamped, "simulator/pushed")
-    sender = graph.publisher(Vector3, "simulator/push")
     graph.until(lambda: node.simulator.now > 0)
     before = node.simulator.plant.momentum
-    sender.publish(Vector3(x=0.5, y=-0.25))
+    graph.send("simulator/push", Vector3(x=0.5, y=-0.25))
     graph.until(lambda: pushed)
     # Rs e3 x J. The plant with contact settles into its floor, by much less than 1 %.
     gained = node.simulator.plant.momentum - before
@@ -215,7 +211,7 @@ def test_push_by_topic_or_service_gives_its_momentum_and_is_published(graph, cap
     assert (impulse.x, impulse.y, impulse.z) == (0.5, -0.25, 0.0)
     assert header.frame_id == "world"
     assert 0 < stamp_from_ros(header.stamp) <= node.simulator.now
-    answer = graph.call(Trigger, "simulator/push", Trigger.Request())
+    answer = graph.call(Trigger, "simulator/push")
     assert answer.success and "[0.0, 2.0] N s" in answer.message
     graph.until(lambda: len(pushed) == 2)
     assert capfd.readouterr().err.count("push: [0.5, -0.25] N s at t = 0.") == 1
@@ -311,8 +307,7 @@ def test_map_makes_walls_that_are_touched_once_and_told(graph, capfd, plant) -> 
     maps.publish(bad)
     graph.until(lambda: node._fault_log.counts["map refused"] == 1)
     assert clearance(node) == pytest.approx(0.6, abs=0.01)
-    speeds = graph.publisher(Float64MultiArray, "rotor_commands")
-    speeds.publish(Float64MultiArray(data=[0.0, -60.0]))
+    graph.send("rotor_commands", Float64MultiArray(data=[0.0, -60.0]))
     graph.until(lambda: node.simulator.touches == 1)
     assert clearance(node) > -2e-3
 
@@ -330,9 +325,7 @@ def test_map_makes_walls_that_are_touched_once_and_told(graph, capfd, plant) -> 
 def test_change_of_walls_is_answered_when_they_stand_or_refused(graph) -> None:
     node = graph.start(SimulatorNode, **IN_ROOM)
     for edge, radius in (("[[-1, -1], [1, -1], [1, 1], [-1, 1]]", 0.7), ("[[0, 0], [1, 1]]", 0.7)):
-        value = Parameter("floor", value=edge).to_parameter_msg()
-        request = SetParameters.Request(parameters=[value])
-        (result,) = graph.call(SetParameters, "simulator/set_parameters", request).results
+        (result,) = graph.set_parameters("simulator", floor=edge)
         assert result.successful is (len(edge) > 20)
         assert clearance(node) == pytest.approx(radius, abs=0.03)
 

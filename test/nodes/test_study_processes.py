@@ -22,7 +22,7 @@ from children import wait_for_end
 from distributed import LocalCluster
 from patience import PATIENCE, until
 
-from sphere_nmpc.child import Child
+from sphere_nmpc.process.child import Child
 from sphere_sim.ros.session.process_set import verb_command
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study import workers as workers_module

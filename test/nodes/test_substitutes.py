@@ -43,7 +43,7 @@ def answer_of(graph: Graph, name: str, **fields: Any) -> Any:
     from nav2_msgs import srv
 
     kind = getattr(srv, SERVICES[name])
-    return graph.call(kind, name, kind.Request(**fields))
+    return graph.call(kind, name, **fields)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from robots import PALM
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state, state_error
-from sphere_nmpc.ros.cdr import floor_message
+from sphere_nmpc.ros.cdr_messages import floor_message
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_to_ros
@@ -72,7 +72,7 @@ def test_viewer_shows_a_running_robot_and_its_requests_are_fulfilled(graph) -> N
     given = {"use_sim_time": True, "robot.rotor_axial_inertia": 0.01,
              "robot.max_rotor_speed": 60.0, "robot.max_rotor_acceleration": 50.0}
     controller = graph.start(ControllerNode, **given)
-    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(GOAL, 0, 0.3))
+    graph.send_goal(GOAL)
     graph.until(lambda: controller.controller.goal is not None)
     late = Node("viewer")
     graph.add(late)
@@ -152,8 +152,7 @@ def test_requests_that_cannot_be_fulfilled_are_told(graph, source) -> None:
     assert "lockstep" in notices(graph, source)[0]
     graph.until(lambda: newest(source).strategy == "time_optimal")
 
-    poses = graph.publisher(PoseStamped, "pose")
-    poses.publish(pose_to_ros(START, 1, 0.3, "map"))
+    graph.send("pose", pose_to_ros(START, 1, 0.3, "map"))
     graph.until(lambda: "refused" in newest(source).alerts[0])
     assert newest(source).state is None
 

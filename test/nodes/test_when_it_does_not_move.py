@@ -25,8 +25,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 
+from sphere_nmpc.foreign.own_folder import cache_folder
 from sphere_nmpc.model.state import Vector, upright_state
-from sphere_nmpc.own_folder import cache_folder
 from sphere_nmpc.ros import graph_monitor
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.controller.node import ControllerNode
@@ -55,8 +55,7 @@ def pattern(words: str) -> re.Pattern[str]:
 
 
 @pytest.fixture(autouse=True)
-def network(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def network(monkeypatch) -> None:
     monkeypatch.setattr(graph_monitor, "network_addresses", frozenset)
     monkeypatch.setattr(graph_monitor, "reaches_other_machines", lambda: True)
 
@@ -134,7 +133,7 @@ def frames_without_the_sphere(graph) -> None:
         CASE.goal if number % 20 == 10 else CASE.start, now
     ))
     graph.start(ControllerNode)
-    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.start, 0, 0.3))
+    graph.send_goal(CASE.start)
 
 
 class Slow(Standing):
@@ -170,8 +169,8 @@ def cache_that_others_can_write(graph) -> None:
 def rate_beyond_the_machine(graph) -> None:
     robot(graph, time.time)
     node = graph.start(ControllerNode, control_rate=50.0)
-    node.controller._planner.strategy = Slow()
-    graph.publisher(PoseStamped, "goal_pose").publish(pose_to_ros(CASE.goal, 0, 0.3))
+    node.controller.planner.strategy = Slow()
+    graph.send_goal(CASE.goal)
 
 
 def lockstep_without_controller(graph) -> None:
@@ -194,8 +193,7 @@ def rolling(graph, **robot: float) -> ControllerNode:
     """Roll a simulated robot with these parameters, that of the controller is the default one."""
     graph.start(SimulatorNode, **{f"robot.{name}": value for name, value in robot.items()})
     controller = graph.start(ControllerNode, use_sim_time=True)
-    goal = graph.publisher(PoseStamped, "goal_pose")
-    goal.publish(pose_to_ros(upright_state(1.0, -1.0, 1.57), 0, 0.3))
+    graph.send_goal(upright_state(1.0, -1.0, 1.57))
     return controller
 
 

@@ -110,7 +110,7 @@ def test_process_that_is_killed_fails_its_tasks_and_is_replaced(worker) -> None:
 
 
 def test_process_with_an_endless_task_is_replaced(worker, monkeypatch) -> None:
-    monkeypatch.setattr(process, "_PATIENCE", 0.2)
+    monkeypatch.setattr(process, "_RESULT_TIMEOUT", 0.2)
     assert worker.complete(worker.submit(len)) == 0
     reply = worker.submit(partial(contains, range(10**12)))
     assert "no result" in worker.ended(reply).error and "replaced" in worker.faults[0]
@@ -118,7 +118,7 @@ def test_process_with_an_endless_task_is_replaced(worker, monkeypatch) -> None:
 
 
 def test_process_that_waits_for_a_processor_is_kept(worker, monkeypatch) -> None:
-    monkeypatch.setattr(process, "_PATIENCE", 1.0)
+    monkeypatch.setattr(process, "_RESULT_TIMEOUT", 1.0)
     assert worker.complete(worker.submit(len)) == 0
     # One processor for both; the worker has some thousandths of it.
     processor = {min(os.sched_getaffinity(0))}

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-import case_table
+from closed_loops import CASES
 
 from sphere_nmpc.model.state import Vector
 
@@ -34,18 +34,17 @@ def documented(document: str, heading: str) -> list[list[float]]:
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[Vector]:
-    return [np.array(times) for times in case_table.table()]
+def runs() -> dict[tuple[object, ...], Vector]:
+    return {row.names: np.array(times) for row, times in CASES.made()}
 
 
 def test_results_have_what_the_command_prints(runs) -> None:
     _, *rows = documented("docs/results.md", "The paper's cases")  # without the best known motions
-    assert np.all(np.abs(np.array(rows) - runs) <= TOLERANCE)
+    assert np.all(np.abs(np.array(rows) - [*runs.values()]) <= TOLERANCE)
 
 
 def test_readme_and_benchmark_have_the_same_times(runs) -> None:
-    optimal, paper = (runs[case_table.ROWS.index(("rolling", name))]
-                      for name in ("time_optimal", "paper"))
+    optimal, paper = (runs["rolling", f"`{name}`"] for name in ("time_optimal", "paper"))
     # A row a case and strategy, with noise in the last case.
     rows = documented("README.md", "The paper's four cases, over ROS 2")[:6]
     found = np.array([row[0] for row in rows]).reshape(3, 2)

@@ -13,10 +13,10 @@ import pytest
 from import_graph import FLOORS, SCOPES, TREES
 from patience import PATIENCE
 
-from sphere_nmpc.child import module_command, python_command
+from sphere_nmpc.process.child import module_command, python_command
 
 CORE_NEEDS = {"numpy", "scipy", "casadi", "sphere_nmpc"} | sys.stdlib_module_names
-FILE_READERS = {"sphere_nmpc.floor", "sphere_nmpc.foreign_file"}
+FILE_READERS = {"sphere_nmpc.floor", "sphere_nmpc.foreign"}
 FILE_FORMATS = {"yaml", "PIL"}
 ROS_NAMES = {
     "rclpy", "std_srvs", "rcl_interfaces", "builtin_interfaces", "type_description_interfaces",
@@ -111,7 +111,7 @@ def test_children_of_python_are_started_in_one_place_only() -> None:
         path.relative_to(ROOT).as_posix() for tree in ("sphere_nmpc", "sphere_sim", "launch")
         for path in (ROOT / tree).rglob("*.py") if "sys.executable" in path.read_text("utf-8")
     }
-    assert users == {"sphere_nmpc/child.py"}
+    assert users == {"sphere_nmpc/process/child.py"}
 
 
 def test_child_imports_what_its_parent_imports_or_from_its_own_path(tmp_path, monkeypatch) -> None:

@@ -10,6 +10,7 @@ import inexact_times
 import pytest
 
 from sphere_nmpc.control.controller import Controller
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import run_closed_loop
 from sphere_sim.evaluation.metrics import state_errors
@@ -50,7 +51,7 @@ def test_loop_with_inexact_times_arrives_within_twice_the_exact_time(
 
 @pytest.mark.parametrize("factor", [0.45, 1.75])
 def test_robot_whose_rotors_have_another_inertia_by_far_arrives(factor: float) -> None:
-    nominal, scenario = inexact_times.ROBOT, SCENARIOS[2]
+    nominal, scenario = RobotParameters(), SCENARIOS[2]
     robot = replace(
         nominal, rotor_axial_inertia=factor * nominal.rotor_axial_inertia,
         rotor_transverse_inertia=factor * nominal.rotor_transverse_inertia,

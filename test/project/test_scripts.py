@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scripts of bench/ and examples without ROS, and what documents have of them."""
 
+import json
 import re
 import runpy
 import subprocess
 import sys
 from copy import copy
 from dataclasses import replace
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ pytest.importorskip("mujoco")
 import ablation
 import lists
 import paths
+import tables
 from documented_examples import EXAMPLES, forms, printed, run_example, section
 from parameter_tables import NODES, OF_ROBOT, PARTS, outputs, parameters_yaml
 
@@ -48,9 +51,39 @@ BENCH = Path(__file__).parents[2] / "bench"
 
 
 @pytest.mark.parametrize("script", sorted(BENCH.rglob("*.py")), ids=lambda path: path.stem)
-def test_script_can_be_imported(script, monkeypatch) -> None:
+def test_script_does_nothing_when_it_is_imported(script, monkeypatch, capfd) -> None:
     monkeypatch.setattr(sys, "path", [str(script.parent), *sys.path])
-    assert "__doc__" in runpy.run_path(str(script), run_name="imported")
+    before = sorted(BENCH.rglob("*"))
+    runpy.run_path(str(script), run_name="imported")
+    assert capfd.readouterr() == ("", "") and sorted(BENCH.rglob("*")) == before
+
+
+def test_table_has_rows_as_they_are_declared_with_reference_total_and_file(
+    monkeypatch, capsys, tmp_path
+) -> None:
+    monkeypatch.setattr(tables, "in_processes", lambda call, tasks, jobs: starmap(call, tasks))
+    table = tables.Table(
+        ("name", "runs", "over a", "seconds"),
+        lambda number, seed: [
+            tables.Row((name, number), [(StudyConditions(), factor * (seed + k))
+                                        for k in range(number)])
+            for name, factor in (("a", 1), ("b", 2), ("c", 3))
+        ],
+        lambda conditions, value: (value, conditions.duration),
+        lambda found, first: (sum(v for v, _ in found) / sum(v for v, _ in first), found[0][1]),
+        number=2, has_reference=True, has_total=True,
+    )
+    command = ["table", "--only", "c", "--seed", "5", "--duration", "4", "--json"]
+    monkeypatch.setattr(sys, "argv", [*command, str(tmp_path / "table.json")])
+    tables.print_tables({"": table}, None)
+    assert capsys.readouterr().out.splitlines() == [
+        "| name | runs | over a | seconds |", "|---|---|---|---|",
+        "| a | 2 | 1.0 | 4.0 |", "| c | 2 | 3.0 | 4.0 |", "| all | 4 | 1.0 | 4.0 |",
+    ]
+    rows = json.loads((tmp_path / "table.json").read_text())["rows"]
+    assert rows[1] == {"names": ["c", 2], "runs": [[15, 4.0], [18, 4.0]]}
+    with pytest.raises(SystemExit, match="given 'd', expected one of a, b, c"):
+        list(table.made(only=["d"]))
 
 
 @pytest.mark.slow
@@ -142,9 +175,9 @@ def test_judge_of_paths_has_exact_curves_and_finds_what_is_beside_them(kind) -> 
 
 @pytest.mark.slow
 def test_judge_of_paths_comes_where_the_plant_does() -> None:
-    options = {"seed": 1, "speed": 0.3, "tolerance": 0.02, "plant": "rolling", "perturb": 10.0,
-               "noise": 0.002}
-    found = paths.measured("line", 0, options)
+    settings = ("controller.path_speed=0.3 simulator.position_noise=0.002 "
+                "simulator.orientation_noise=0.004")
+    found = paths.measured(tables.conditions_of(settings, 30.0, 10.0), "line", 1, 0)
     assert found["apart"] < 1e-6 and found["end"] < 0.02 and len(found["track"]) > 100
 
 

@@ -8,7 +8,7 @@ import subprocess
 from document_commands import FENCE, ROOT
 from patience import PATIENCE
 
-from sphere_nmpc.child import python_command
+from sphere_nmpc.process.child import python_command
 
 EXAMPLES = ROOT / "examples"
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)?")

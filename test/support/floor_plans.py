@@ -6,6 +6,7 @@ import numpy as np
 
 from sphere_nmpc.floor.floor import Floor, exact_distance
 from sphere_nmpc.floor.occupancy import Grid
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 
@@ -28,6 +29,13 @@ def floor_of(walls: list[tuple[float, float, float, float]], clearance: float = 
         x0, y0, x1, y1 = (round(value / 0.05) for value in wall)
         occupied[y0:y1, x0:x1] = True
     return Floor(Grid(occupied, 0.05), RADIUS, clearance)
+
+
+def rolled(way: float) -> FirstOrderHold:
+    """Hold that rolls the upright sphere by a way along x [m], to rest."""
+    rate = RADIUS * RobotParameters().lumped.input_gain
+    step = max(0.1, abs(way) / (80.0 * rate))
+    return FirstOrderHold(step * np.arange(3), np.outer([0.0, -way / (step * rate), 0.0], [0, 1]))
 
 
 def least_distance(floor: Floor, places: Vector) -> float:

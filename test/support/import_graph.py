@@ -36,12 +36,10 @@ FLOORS = {
         ("strategy", "estimation"),
         ("floor",),
         ("solver", "settings"),
-        ("model", "worker", "own_folder"),
-        ("quantity", "fault_log", "child", "foreign_file", "entry_table"),
-        ("channel",),
-        ("foreign_code",),
-        ("errors", "library_threads", "conditions"),
-        ("foreign_text",),
+        ("model", "worker"),
+        ("quantity", "process"),
+        ("foreign", "reporting"),
+        ("errors",),
     ),
 }
 """Units of the first level from top to bottom: each may import only from lower floors."""

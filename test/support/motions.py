@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.integrator import step_function, steps_for
@@ -37,18 +37,18 @@ def integrate(
     return x
 
 
-def random_ramps(rng: np.random.Generator, until: float, largest: float = 100.0) -> SentInputs:
+def random_ramps(rng: np.random.Generator, until: float, largest: float = 100.0) -> RotorHistory:
     """Return ramps of 0.5 s between random speeds up to `largest` [rad/s], from rest at 0 s."""
     times = np.arange(0.0, until, 0.5)
     speeds = rng.uniform(-largest, largest, (times.size, 2))
     speeds[0] = 0.0
-    sent = SentInputs()
+    sent = RotorHistory()
     sent.record(FirstOrderHold(times, speeds))
     return sent
 
 
 def predicted(
-    sent: SentInputs, state: Vector, start: float, end: float, constants: Vector,
+    sent: RotorHistory, state: Vector, start: float, end: float, constants: Vector,
     disturbance: Disturbance = UNDISTURBED,
 ) -> Vector:
     """Return the state, (9,), at `end` [s] from that at `start` by the speeds sent."""
@@ -66,6 +66,12 @@ def moved(
     times = np.unique(np.concatenate((np.arange(since, until, spacing), knots, [until])))
     speeds = hold.resampled(times).speeds
     return roll_out(start, speeds, np.diff(times), LUMPED.as_array(), spacing)
+
+
+def largest_slope(hold: FirstOrderHold) -> float:
+    """Return the largest acceleration of either rotor along a hold [rad/s^2]."""
+    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
+    return float(np.max(np.abs(slopes), initial=0.0))
 
 
 def largest_distance(points: Iterable[Vector], path: Vector) -> float:

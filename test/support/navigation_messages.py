@@ -121,7 +121,7 @@ def lacking() -> str:
 
 def built() -> Path:
     """Return the folder that holds the package; one process builds it, while others wait."""
-    from sphere_nmpc.own_folder import own_folder
+    from sphere_nmpc.foreign.own_folder import own_folder
 
     decisive = [Path(__file__).read_bytes(), sys.version.encode(), sys.prefix.encode()]
     digest = hashlib.sha256(b"\n".join(decisive)).hexdigest()[:16]

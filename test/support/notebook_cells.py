@@ -19,7 +19,7 @@ from typing import Any
 from documented_examples import NUMBER, forms
 from patience import PATIENCE
 
-from sphere_nmpc.child import module_command
+from sphere_nmpc.process.child import module_command
 
 SHARE = 0.05
 """Difference of two numbers that processors may make [of the number]; their order of rounding

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from ros_graph import Graph
 
-from sphere_nmpc.conditions import Severity
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.cdr import clock_message, imu_message, joint_states_message
+from sphere_nmpc.reporting.conditions import Severity
+from sphere_nmpc.ros.cdr_messages import clock_message, imu_message, joint_states_message
 from sphere_nmpc.ros.odometry.node import OdometryNode
 
 STEP = NANOSECONDS // 100
@@ -90,5 +90,5 @@ class RobotAtRest:
     @property
     def status(self) -> tuple[Severity, str]:
         """Level and message of the newest status."""
-        level, message, _ = self.node._reports._last
+        level, message, _ = self.node._reports.report
         return level, message

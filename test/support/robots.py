@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots other than that of Table 1."""
 
-from other_robots import ROBOTS
+from sized_robots import ROBOTS
 
 from sphere_nmpc.model.parameters import RobotParameters
 

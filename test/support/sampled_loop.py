@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 from delayed_worker import DelayedWorker
-from motions import moved
+from motions import largest_slope, moved
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.estimation.pose_filter import Estimate
@@ -23,6 +22,7 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSE, POSITION, Vector, state_error, without_momentum
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Strategy
 from sphere_nmpc.strategy.plan import Plan
@@ -77,7 +77,7 @@ class SampledLoop:
             worker=None if self.search_time is None else self.worker,
         )
         if self.is_known:
-            self.controller._estimator = Known(self)
+            self.controller.estimator = self.controller.following.estimator = Known(self)
         self.controller.floor = self.floor
         if self.goal is not None:
             self.controller.set_goal(self.goal)
@@ -209,8 +209,7 @@ def check_hold(
     Accelerations may be larger by a share `slack`: rounding of 100 rad/s over an interval.
     """
     assert np.max(np.abs(hold.speeds)) <= robot.max_rotor_speed + 1e-9
-    slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
-    assert np.max(slopes, initial=0.0) <= robot.max_rotor_acceleration * (1.0 + slack)
+    assert largest_slope(hold) <= robot.max_rotor_acceleration * (1.0 + slack)
     np.testing.assert_array_equal(hold.speeds[-1], [0.0, 0.0])
 
 

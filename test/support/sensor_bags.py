@@ -9,16 +9,8 @@ import numpy as np
 from inertial_runs import IMU, SECOND, Run
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.cdr import (
-    TYPES,
-    Imu,
-    Joints,
-    Pose,
-    UncertainPose,
-    imu_message,
-    joint_states_message,
-    pose_message,
-)
+from sphere_nmpc.ros.cdr import TYPES, Imu, Joints, Pose, UncertainPose
+from sphere_nmpc.ros.cdr_messages import imu_message, joint_states_message, pose_message
 from sphere_sim.recording.bag_writer import BagWriter
 
 EPOCH = 5 * SECOND

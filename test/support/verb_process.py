@@ -5,7 +5,7 @@
 import re
 from pathlib import Path
 
-from sphere_nmpc.child import Child
+from sphere_nmpc.process.child import Child
 from sphere_sim.ros.session.process_set import verb_command
 
 

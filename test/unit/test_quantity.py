@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidParameterError, shown
 from sphere_nmpc.quantity import quantity, validate
 
 

@@ -29,7 +29,7 @@ class Fix(NamedTuple):
     pose: Vector
     """Position [m] and quaternion wxyz, shape (6,)."""
     covariance: Vector
-    """Of the error in the world frame, shape (5, 5)."""
+    """Covariance of the error in the world frame, shape (5, 5)."""
     replaces: bool = False
     """Whether it replaces the pose rather than being averaged with it."""
 

@@ -2,33 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error-state Kalman filter of the pose from an IMU in the shell and the speeds of the rotors.
 
-The gyro is the input: it turns the shell, and without slip the sphere rolls by that. The error is
-
-    [p, phi, b_g, b_a, E_g, E_a, G, r, h, c, rho, tau]
-
-position [m] and rotation [rad] in the world frame, true minus estimated, R_true = exp(phi) R, with
-which the model, which no motion of the plane changes, is linear in the unobservable position and
-heading; the errors of a device, in the axes of the sensor, whose readings of the angular velocity
-w and the specific force f are
-
-    (I + E_g) w + G f + b_g    and    (I + E_a) f + b_a,
-
-biases, matrices of scales and of what crosses to other axes, and the sensitivity of a gyro to
-force; a mounting that is turned is in both matrices, whose errors are correlated by it; the place
-r of the IMU; momentum over I1 [rad/s; world frame], which turns with phi as well, h_true =
-exp(phi) (h + dh); relative errors of c1, r1, r3 and of the radius; and the time by which the
-stamps of the rotors' speeds are late [s].
-
-Both readings are values at the same instants, as a device filters both alike: its delay is one of
-the stamps. Measured are, over an interval of some hundredths of a second, the specific force,
-integrated,
+The gyro is the input: it turns the shell, and without slip the sphere rolls by that. Measured are,
+over an interval of some hundredths of a second, the specific force, integrated,
 
     int R f dt = v(t1) - v(t0) + g e3 (t1 - t0),    v = Rs (omega x e3) + omega x r,
 
 which has the tilt; and the mean angular velocity by the balance of momentum,
 (diag(1, 1, r1/r3) - r1 k k^T) omega = -c1 ([u, 0] - R^T h), k the vertical in the body. Both are
 linearised at what is expected and not at what is measured: the noise of that would else be taken
-for information.
+for information. Symbols are those of `sphere_nmpc.estimation.odometry.inertial_state`.
 """
 
 import math

@@ -61,7 +61,7 @@ class Motion:
     """How the shell has moved in an interval, at its n + 1 readings."""
 
     pose: Vector
-    """At the end, shape (6,)."""
+    """Pose at the end, shape (6,)."""
     turns: Vector
     """Orientations, body to world, shape (n + 1, 3, 3)."""
     rates: Vector
@@ -69,9 +69,9 @@ class Motion:
     forces: Vector
     """Specific forces [m/s^2; axes of the sensor], shape (n + 1, 3)."""
     times: Vector
-    """Of the readings [s], shape (n + 1,)."""
+    """Times of the readings [s], shape (n + 1,)."""
     weights: Vector
-    """Of the readings in an integral [s], shape (n + 1,)."""
+    """Weights of the readings in an integral [s], shape (n + 1,)."""
     sensor: SensorMap
     """How the readings have been corrected."""
 

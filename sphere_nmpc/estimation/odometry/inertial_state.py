@@ -2,7 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """State of the odometry: the parts of its error, its distribution, and readings of an interval.
 
-The error is explained with `sphere_nmpc.estimation.odometry.inertial_filter`.
+The error is
+
+    [p, phi, b_g, b_a, E_g, E_a, G, r, h, c, rho, tau]
+
+position [m] and rotation [rad] in the world frame, true minus estimated, R_true = exp(phi) R, with
+which the model, which no motion of the plane changes, is linear in the unobservable position and
+heading; the errors of a device, in the axes of the sensor, whose readings of the angular velocity
+w and the specific force f are
+
+    (I + E_g) w + G f + b_g    and    (I + E_a) f + b_a,
+
+biases, matrices of scales and of what crosses to other axes, and the sensitivity of a gyro to
+force; a mounting that is turned is in both matrices, whose errors are correlated by it; the place
+r of the IMU; momentum over I1 [rad/s; world frame], which turns with phi as well, h_true =
+exp(phi) (h + dh); relative errors of c1, r1, r3 and of the radius; and the time by which the
+stamps of the rotors' speeds are late [s].
+
+Both readings are values at the same instants, as a device filters both alike: its delay is one of
+the stamps.
 """
 
 import math
@@ -32,7 +50,7 @@ class Belief(NamedTuple):
     numbers: Vector
     """All that is behind the pose in the error, shape (44,)."""
     covariance: Vector
-    """Of the error, shape (49, 49)."""
+    """Covariance of the error, shape (49, 49)."""
     unexplained: Vector
     """Change of velocity that rolling has not explained recently [m/s; world], shape (3,)."""
     vibration: Vector
@@ -62,7 +80,7 @@ class Findings(NamedTuple):
     force: float
     """Normalised square of the innovation of the specific force; nan where it was not used."""
     rate: float
-    """That of the angular velocity by the balance of momentum; nan without rotor speeds."""
+    """Normalised square of that of the rate by the rotors; nan without rotor speeds."""
     jump: Vector
     """Innovation of the velocity [m/s; world frame], shape (3,)."""
 

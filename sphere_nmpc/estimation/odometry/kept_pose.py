@@ -11,9 +11,9 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
+from sphere_nmpc.foreign.own_folder import KeptFile
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, as_state
-from sphere_nmpc.own_folder import KeptFile
 
 _DIFFERENT = 3.0
 """Standard deviations [-] by which a kept tilt may differ from the measured one, whose bias is

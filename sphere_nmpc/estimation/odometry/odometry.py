@@ -12,18 +12,17 @@ from bisect import bisect_left
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind, worst_first
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.given_pose import Fix
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap, sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
     GYRO_BIAS,
     POSE_ERROR,
     Belief,
     Samples,
 )
+from sphere_nmpc.estimation.odometry.newest_pose import NewestPose
 from sphere_nmpc.estimation.odometry.placement import Placement
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate, pose_estimate
 from sphere_nmpc.estimation.odometry.pose_history import PoseHistory
@@ -31,13 +30,11 @@ from sphere_nmpc.estimation.odometry.rest import RestDetector
 from sphere_nmpc.estimation.odometry.rotor_speeds import RotorSpeeds
 from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import QUATERNION, Vector, as_state
+from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.model.units import RobotUnits
+from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
 
-_FASTER = 6.0
-"""Standard deviations [-] by which a rate has to differ from that at rest to move the pose."""
 _GAP = 4.0
 """Times of a reading [-] after which readings are missing."""
 
@@ -64,8 +61,7 @@ class Odometry:
         self._settings = settings
         self._numbers = OdometryNumbers().of(RobotUnits.of(robot))
         self._filter = InertialFilter(imu, robot, self._numbers, settings.pivoting)
-        self._imu = imu
-        self._robot = robot
+        self._imu, self._robot = imu, robot
         self.faults = SensorFaults(imu, self._numbers)
         """Faults of the sensors, and what has happened to the sphere."""
         self._placement = Placement(self._filter, settings, self._numbers, self.faults)
@@ -82,17 +78,12 @@ class Odometry:
         self._belief: Belief | None = None
         self._stood: tuple[float, Belief]
         self._open = Samples([], [], [], [])
-        numbers, settings, robot = self._numbers, self._settings, self._robot
-        self._history = PoseHistory(self._filter, settings.fix_memory, numbers)
-        self._speeds = RotorSpeeds(numbers.silence, robot)
-        self._rest = RestDetector(self._filter.imu, robot.lumped.input_gain, numbers)
+        self._history = PoseHistory(self._filter, self._settings.fix_memory, self._numbers)
+        self._speeds = RotorSpeeds(self._numbers.silence, self._robot)
+        self._rest = RestDetector(self._filter.imu, self._robot.lumped.input_gain, self._numbers)
         self._pending: list[Fix] = []
         self._fixes: list[Fix] = []
-        self._head: Vector = self._given.pose
-        self._rate = np.zeros(3)
-        self._sensor: SensorMap | None = None
-        self._slowest = math.inf
-        self._was_still = False
+        self._newest = NewestPose(self._filter, self._given.pose)
         self._step = 0.0
 
     @property
@@ -129,8 +120,8 @@ class Odometry:
         # Of an even distribution over the time between two readings.
         spread = self._step / math.sqrt(12.0) if self._imu.delay < 0.0 else 0.0
         return pose_estimate(
-            self._filter, self._belief._replace(pose=self._head), self._open.times[-1], self._rate,
-            (self.delay, spread), self._numbers.interval,
+            self._filter, self._belief._replace(pose=self._newest.pose), self._open.times[-1],
+            self._newest.rate, (self.delay, spread), self._numbers.interval,
         )
 
     @property
@@ -200,7 +191,7 @@ class Odometry:
         """Take the first reading after a time in which nothing is known of the motion."""
         gap = time - self._open.times[-1]
         self._close()
-        if self._was_still:
+        if self._newest.was_still:
             # It has probably rested; a rest that contradicts the tilt shows otherwise.
             self._open = Samples([], [], [], [])
             return self._take(time, rate, force, True)
@@ -276,7 +267,7 @@ class Odometry:
         """Discard all readings, as after a jump of the clock; the pose stays."""
         if self._belief is not None:
             world = self._belief.covariance[POSE_ERROR, POSE_ERROR]
-            self._given = Fix(-math.inf, self._head, world)
+            self._given = Fix(-math.inf, self._newest.pose, world)
         self._begin()
 
     def _left_out(self, text: str) -> Condition:
@@ -294,32 +285,10 @@ class Odometry:
         samples.times.append(time)
         samples.rates.append(rate)
         samples.forces.append(force)
-        self._advance_head(len(samples.times) - 1)
+        if self._belief is not None and len(samples.times) > 1:
+            self._newest.move(self._belief, samples, len(samples.times) - 1, self._speeds.newest)
         self._close_if_due()
         return self.is_calibrated
-
-    def _advance_head(self, last: int) -> None:
-        """Move the pose by the readings up to one of the open interval."""
-        belief, samples = self._belief, self._open
-        if belief is None or last == 0:
-            return
-        pair = self._rates(belief, samples, last - 1)
-        step, self._rate = samples.times[last] - samples.times[last - 1], pair[1]
-        if self._was_still and float(pair[1] @ pair[1]) < self._slowest**2:
-            self._rate = np.zeros(3)
-            return
-        self._head = self._filter.moved(self._head, pair, step, self._filter.rolled(belief))
-
-    def _rates(self, belief: Belief, samples: Samples, first: int) -> Vector:
-        """Return the angular velocities of two readings [rad/s; body frame], shape (2, 3)."""
-        speeds, two = self._speeds.newest, slice(first, first + 2)
-        if all(samples.valid[two]) and self._sensor is not None:
-            return self._sensor.rates(np.array(samples.rates[two]), np.array(samples.forces[two]))
-        if speeds is None:
-            return np.zeros((2, 3))
-        turn = rotation.matrix(self._head[QUATERNION])
-        rate = self._filter.rotors.rate(belief, turn, speeds)[0]
-        return np.array((rate, rate))
 
     def _close_if_due(self) -> None:
         """End the open interval where it is long enough and the speeds of the rotors are there."""
@@ -354,7 +323,7 @@ class Odometry:
             belief, samples = self._with_rest(belief, samples)
         self._history.append(belief, samples)
         self._belief, findings = self._filter.advance(belief, samples)
-        self._was_still = samples.still
+        self._newest.was_still = samples.still
         self.faults.interval(samples, findings, self._belief, self.delay)
         if samples.still and self._rest.is_lasting():
             # Of the last while, as biases walk over a long rest.
@@ -372,10 +341,7 @@ class Odometry:
     def _follow_readings(self) -> None:
         """Move the pose by the readings since the last interval."""
         if self._belief is not None:
-            self._head = self._belief.pose
-            self._sensor = sensor_map(self._belief, self._filter.turn)
-            for last in range(1, len(self._open.times)):
-                self._advance_head(last)
+            self._newest.follow(self._belief, self._open, self._speeds.newest)
 
     def _with_rest(self, belief: Belief, samples: Samples) -> tuple[Belief, Samples]:
         """Return whether a shell whose readings do not change is still, in the samples.
@@ -407,7 +373,7 @@ class Odometry:
                 return
             self._filter.raise_noises(*densities)
             noise = self._filter.imu.gyro_noise / math.sqrt(self._step)
-            self._slowest = _FASTER * max(scatter, noise)
+            self._newest.scatter = max(scatter, noise)
         self._belief = self._placement.started(samples, self._given, -self.delay)
         bias, rested = self._belief.value(GYRO_BIAS), self._rest.duration
         left = math.sqrt(float(np.trace(self._belief.covariance[GYRO_BIAS, GYRO_BIAS])) / 3.0)
@@ -417,7 +383,7 @@ class Odometry:
         )
         self._stood = samples.times[-1], self._belief
         self.faults.bias(samples.times[-1], bias)
-        self._was_still = samples.still
+        self._newest.was_still = samples.still
         self._follow_readings()
 
     def _use(self, fix: Fix) -> Condition | None:

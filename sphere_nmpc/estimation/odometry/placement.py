@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.given_pose import (
     LEAST_DEVIATION,
@@ -42,6 +41,7 @@ from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySe
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import QUATERNION, Vector
+from sphere_nmpc.reporting.conditions import Kind
 
 _CONTRADICTED = 4.0
 """Improbable squares of a force at rest [-] at which the tilt is another one."""
@@ -136,12 +136,12 @@ class Placement:
         `shown` are the vertical by gravity and its deviation, `taken` are the vertical and the
         covariance of the tilt that take the place of the given ones then.
         """
-        told, is_opposite = contradiction(given, *shown)
-        if told:
-            self._faults.see(Kind.TILT_REPLACED, given.time, told)
+        fault, is_opposite = contradiction(given, *shown)
+        if fault:
+            self._faults.see(Kind.TILT_REPLACED, given.time, fault)
         if is_opposite:
-            self._faults.lost(given.time, told)
-        if told or not has_tilt(given.covariance):
+            self._faults.lost(given.time, fault)
+        if fault or not has_tilt(given.covariance):
             given = with_vertical(given, *taken)
         return replaced(belief, given.pose, given.covariance)
 

@@ -48,7 +48,7 @@ class Rested(NamedTuple):
     """Readings at rest."""
 
     samples: Samples
-    """Their mean, as an interval of their duration."""
+    """Mean of the readings, as an interval of their duration."""
     densities: Vector
     """Noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)], shape (2,)."""
     scatter: float

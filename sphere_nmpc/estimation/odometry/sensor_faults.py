@@ -6,40 +6,35 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind, worst_first
-from sphere_nmpc.estimation.imu import ImuSettings
+from sphere_nmpc.estimation.imu import ImuSettings, convention_of
 from sphere_nmpc.estimation.odometry.inertial_filter import SATURATED
 from sphere_nmpc.estimation.odometry.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.error_state import SIGNIFICANT_DEVIATIONS
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
 
 _REPEATED = 3
 """Equal readings in a row of a sensor that is stuck: noise changes some digit of six each time."""
 _CONTRADICTIONS = 8
 """Intervals in which the shell turns otherwise than by the rotors: a push takes some."""
-_SIGNIFICANT = 4.0
-"""Standard deviations [-] by which an offset of stamps has to differ from 0 to be told."""
 _TURNING = 1.0
 """Speed by the angles at which the rotors turn [rad/s]: an encoder that toggles shows less."""
 _LARGE = 6.0
 """Standard deviations [-] by which a force or a bias at rest may differ from what is expected."""
-_CONVENTIONS = (
-    (0.5, "; gravity has been removed"), (2.0, "; it is given in g"),
-)
-"""What a force below a norm [m/s^2] means."""
 LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
 """Kinds that last until a pose is given, as the position is not known."""
 _LASTING = LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
 _LOST_BY = 0.1
 """Angle by which the shell has turned unnoticed at which it has been moved as well [rad]."""
 _LATE = 8e-3
-"""Offset of stamps that is told [s]: more than half of the time between two readings at 100 Hz, by
+"""Reported offset of stamps [s]: more than half of the time between two readings at 100 Hz, by
 which the delay of an IMU is not known; at full acceleration the rotors change by 3 rad/s in it."""
 
 
 class SensorFaults:
-    """Conditions of the odometry, each of which is told for a while after it was last seen."""
+    """Conditions of the odometry, each of which is reported for a while after it was last seen."""
 
     def __init__(self, imu: ImuSettings, numbers: OdometryNumbers) -> None:
         self._imu, self._numbers = imu, numbers
@@ -82,19 +77,18 @@ class SensorFaults:
         """Note that the position is not known, and what has been given instead."""
         self.see(
             Kind.POSITION_UNKNOWN, time,
-            f"{given}; the position is not known until pose_fix or initialpose tells it",
+            f"{given}; the position is not known until pose_fix or initialpose gives it",
         )
 
     def gravity(self, time: float, norm: float) -> bool:
         """Return whether the norm of a specific force at rest [m/s^2] is that of gravity."""
-        imu, shown = self._imu, ""
+        imu, convention = self._imu, convention_of(norm)
         spread = math.hypot(imu.accelerometer_bias, GRAVITY * imu.accelerometer_scale)
         if abs(norm - GRAVITY) > max(_LARGE * spread, 0.1 * GRAVITY):
-            shown = next((text for most, text in _CONVENTIONS if norm < most), "")
             self.see(
                 Kind.NO_GRAVITY, time,
                 f"given a specific force of {norm:.3g} m/s^2 at rest, expected {GRAVITY:.2f} "
-                f"opposite to gravity{shown}",
+                f"opposite to gravity{convention and f': {convention}'}",
             )
             return False
         self._seen.pop(Kind.NO_GRAVITY, None)
@@ -127,7 +121,7 @@ class SensorFaults:
             self.see(
                 Kind.GYRO_SATURATED, time,
                 f"given {np.max(np.abs(rate)):.3g} rad/s, expected less than gyro_range = "
-                f"{self._imu.gyro_range:.3g} rad/s; the rotors tell how it turns meanwhile",
+                f"{self._imu.gyro_range:.3g} rad/s; the rotors show how it turns meanwhile",
             )
             return False
         # At rest readings without noise repeat.
@@ -169,7 +163,7 @@ class SensorFaults:
             self.see(
                 Kind.IMU_STUCK, time,
                 f"given the same reading {self._equal + 1} times while the rotors turn, expected "
-                "noise; the rotors tell how it turns meanwhile",
+                "noise; the rotors show how it turns meanwhile",
             )
         jump = findings.jump
         largest = numbers.improbable(3)
@@ -178,7 +172,7 @@ class SensorFaults:
                 self.see(
                     Kind.LIFTED, time,
                     f"given a vertical way of {belief.height:+.2f} m; the position is not known "
-                    "until pose_fix or initialpose tells it",
+                    "until pose_fix or initialpose gives it",
                 )
             else:
                 self.see(
@@ -189,7 +183,7 @@ class SensorFaults:
         elif findings.rate > largest:
             self._contradictions, self._contradicted_at = self._contradictions + 1, time
         offset, spread = belief.late + delay, belief.deviation(slice(OFFSET, OFFSET + 1))
-        is_late = abs(offset) > max(_LATE, _SIGNIFICANT * spread)
+        is_late = abs(offset) > max(_LATE, SIGNIFICANT_DEVIATIONS * spread)
         # Speeds that come late look like a push until they have come.
         if self._may_be_pushed and not is_late:
             self.see(

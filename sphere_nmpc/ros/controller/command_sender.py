@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.ros.cdr import speeds_message, trajectory_message
+from sphere_nmpc.ros.cdr_messages import speeds_message, trajectory_message
 
 _COPIES = 2
 """Number of copies that are sent, one with each sample of `command_rate`."""

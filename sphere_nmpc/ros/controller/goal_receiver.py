@@ -11,11 +11,11 @@ from nav_msgs.msg import Path as PathMessage
 
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.fault_log import FaultLog
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import upright_state
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.control_clock import ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import GuardedNode

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.control.pose_stream import StampWatch
 from sphere_nmpc.control.timing import MissedSamples
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.conditions import Condition, Kind
+from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch
 from sphere_nmpc.ros.controller.pose_source import PoseSource
 from sphere_nmpc.ros.graph_monitor import several_publishers
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.input_monitor import OTHER_CLOCK_AGE, POSES, InputMonitor
+from sphere_nmpc.ros.input_monitor import POSES, InputMonitor
 
 _MISSING = 0.5
 """Silence of the poses after which the status of their source is read [s, wall], so that it is
@@ -26,15 +26,15 @@ class ControllerMonitor(InputMonitor):
     """Monitor of clock, poses, samples and commands, which logs the faults around a controller."""
 
     def __init__(self, node: GuardedNode, fault_log: FaultLog) -> None:
-        super().__init__(node, fault_log, POSES)
-        (self.poses,) = self.inputs
-        """Messages of the poses."""
+        self.poses = StampWatch()
+        """Messages of the poses, and their stamps."""
+        super().__init__(node, fault_log, {POSES: self.poses})
+        self.topic = self.topics[POSES]
+        """Full name of their topic."""
         self._pose_source = PoseSource(node)
         self._command_topic = node.resolve_topic_name("rotor_trajectory")
         self.is_steady = True
         """Whether the clock had not jumped shortly before the last check."""
-        self.stamps = StampWatch()
-        """Stamps of the poses."""
         self._samples = MissedSamples()
 
     def pose_refused(self, ahead: float, pose_timeout: float) -> None:
@@ -60,11 +60,9 @@ class ControllerMonitor(InputMonitor):
         `instants` the numbers of sampling instants with and without a plan, and their period [s].
         """
         self.is_steady = jump == 0.0
-        found: list[Condition] = []
-        inexact = self.stamps.fault()
-        if inexact is not None:
-            found.append(inexact)
-        found += self._missed_samples(time.monotonic(), *instants)
+        used, missed, period = instants
+        self._samples.read(time.monotonic(), used, missed)
+        found = [*self.inexact_stamps, *self._samples.faults(period)]
         is_missing = time.monotonic() > self.poses.seen_at + _MISSING
         sources = self.graph.publishers(self.topic, PoseStamped) if is_missing else ()
         self.poses.reported = self._pose_source.reported_by(sources)
@@ -79,19 +77,3 @@ class ControllerMonitor(InputMonitor):
                 "nothing is sent until it does",
             ))
         self.update(now, follows_clock, pose_timeout, [*found, *further])
-
-    def _missed_samples(
-        self, wall: float, used: int, missed: int, period: float
-    ) -> list[Condition]:
-        self._samples.read(wall, used, missed)
-        if not self._samples.share:
-            return []
-        return [
-            Condition(
-                Kind.MISSED_SAMPLES,
-                f"given {100.0 * self._samples.share:.3g} % of the sampling "
-                f"instants of the last {self._samples.span:.0f} s without a plan, at "
-                f"{1.0 / period:.4g} Hz, expected none; a lower control_rate, thread_priority: 1 "
-                "or a free processor core helps",
-            )
-        ]

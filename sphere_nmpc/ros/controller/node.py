@@ -38,7 +38,6 @@ from sphere_nmpc.ros.controller.goal_receiver import GoalReceiver
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
 from sphere_nmpc.ros.controller.reports import ControllerReports
 from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
-from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
@@ -54,7 +53,7 @@ _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SELDOM = 0.05
 """Control period above which a command that may be lost is sent again before the next one [s]."""
-_GOAL_TOLD_EVERY = 0.1
+_GOAL_LOGGED_EVERY = 0.1
 """Least wall time between two reports of one goal that is given again and again [s]."""
 _SAVE_EVERY = 1.0
 """Wall time after which the goal in force is stored again [s]."""
@@ -95,7 +94,7 @@ class ControllerNode(ClockedNode):
         self.controller = Controller(settings, robot, worker=self._worker)
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
-        self._goal_told = -math.inf
+        self._goal_logged_at = -math.inf
         keep = settings.goal_memory
         self._stored_goal = Stored(
             goal_memory(stored_file(self, "goal"), keep) if keep > 0.0 else None,
@@ -109,8 +108,9 @@ class ControllerNode(ClockedNode):
             depth=1 if self._schedule.is_real_time else 10,
         )
         self._reports = ControllerReports(
-            self, self.controller, self._schedule, self._fault_log, robot, settings,
-            self._monitor, self._event_log, self._frame, lambda: self._floor_receiver.pending,
+            self, self._control_clock.stamp, self.controller, self._schedule, self._fault_log,
+            robot, settings, self._monitor, self._event_log, self._frame,
+            lambda: self._floor_receiver.pending,
         )
         self._rotor_receiver = RotorReceiver(
             self, self.controller, self._control_clock
@@ -118,14 +118,10 @@ class ControllerNode(ClockedNode):
         self._subscribe(robot.shell_radius)
         self._timer: Timer | None = None
         self._set_timer()
-        self._wall_timers = [
-            self.create_wall_timer(_CHECK_EVERY, self._check),
-            self.create_wall_timer(_SAVE_EVERY, self._save_goal),
-        ]
+        self.create_wall_timer(_CHECK_EVERY, self._check)
+        self.create_wall_timer(_SAVE_EVERY, self._save_goal)
         self._found_timer = self.create_wall_timer(_FOUND_EVERY, self._use_found)
         self._found_timer.cancel()
-        tasks = {"solver": self._reports.solver, "loop": self._reports.loop}
-        self._diagnostics = Diagnostics(self, self._control_clock.stamp, tasks)
 
     @property
     def thread_priority(self) -> int:
@@ -153,14 +149,11 @@ class ControllerNode(ClockedNode):
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before
         # simulated time stops, so that a depth of one keeps it.
         newest = NEWEST if self._schedule.is_real_time else 1
-        self._inputs = [
-            self.create_subscription(
-                PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS,
-                raw=True,
-            ),
-            self.create_service(SetBool, "~/enable", self._enable),
-            self.create_service(Trigger, "~/cancel", self._cancel),
-        ]
+        self.create_subscription(
+            PoseStamped, "pose", self._receive_pose, newest, event_callbacks=NO_EVENTS, raw=True
+        )
+        self.create_service(SetBool, "~/enable", self._enable)
+        self.create_service(Trigger, "~/cancel", self._cancel)
         self._goal_receiver = GoalReceiver(
             self, self._control_clock, self._frame, radius, lambda: self._settings,
             self._set_goals, self._fault_log,
@@ -180,7 +173,7 @@ class ControllerNode(ClockedNode):
         if now is not None:
             has_goal = self.controller.active is not None  # else nothing is to move
             deviation = self.controller.estimator.stamp_deviation if has_goal else 0.0
-            self._monitor.stamps.moved(now, deviation)
+            self._monitor.poses.moved(now, deviation)
             newest = self.controller.estimator.newest
             if newest is not None and self._schedule.is_overdue(
                 now - newest[0], bool(self._monitor.poses.reported)
@@ -209,7 +202,7 @@ class ControllerNode(ClockedNode):
     def _tick(self) -> None:
         now = self._control_clock.steady_now()
         if now is not None:
-            self._schedule.window = self.controller.rotor_feedback.window
+            self._schedule.window = self.controller.link.window
             self._plan_instant(now)
 
     def _plan_instant(self, now: float) -> None:
@@ -253,21 +246,21 @@ class ControllerNode(ClockedNode):
         hold = controller.commit(decision, starts) or schedule.answer(request)
         if hold is not None:
             seldom = schedule.is_real_time and self._period > _SELDOM
-            repeated = seldom and controller.rotor_feedback.shows_link
+            repeated = seldom and controller.link.is_apparent
             self._sender.send(hold, epoch, repeated)
         ended = time.perf_counter()
         schedule.completed(ended - began, decision.solved)
         self._reports.tick(decision, request.instant, ended - began, ended, epoch)
         between = self._period > _FOUND_EVERY
-        if between and controller.searches and self._found_timer.is_canceled():
+        if between and controller.planner.searches and self._found_timer.is_canceled():
             self._found_timer.reset()
 
     def _use_found(self) -> None:
         """Plan immediately when a search has ended, rather than at the next sampling instant."""
         now = self._control_clock.steady_now()
-        if now is not None and self.controller.is_due(now + self._schedule.window):
+        if now is not None and self.controller.planner.is_due(now + self._schedule.window):
             self._restart(now)
-        if not self.controller.searches:
+        if not self.controller.planner.searches:
             self._found_timer.cancel()
 
     def _receive_pose(self, message: bytes) -> None:
@@ -277,10 +270,10 @@ class ControllerNode(ClockedNode):
             stamp, frame, numbers = fields(message, Pose)
             measured = self._control_clock.time_of(stamp)
             age = math.nan if now is None else now - measured
-            self._monitor.poses.received(age, stamp)
-            self.controller.rotor_feedback.poses.received(measured, age)
+            self._monitor.poses.heard(age, stamp)
+            self.controller.link.pose_received(measured, age)
             pose = TimedPose(stamp, measured, pose_in_frame(numbers, frame, self._frame))
-            self._monitor.stamps.received(measured, pose.state)
+            self._monitor.poses.received(measured, pose.state)
         except InvalidValueError as error:
             self._fault_log.report("pose refused", str(error))
             return
@@ -301,11 +294,11 @@ class ControllerNode(ClockedNode):
         clock, wall = self._control_clock, time.monotonic()
         now = clock.steady_now()
         given = None if now is None else clock.own_time(goals.stamp, now)
-        is_new = self.controller.follow(goals, now if given is None else given)
+        is_new = self.controller.following.take(goals, now if given is None else given)
         self._stored_goal.supersede()
-        if not is_new and wall < self._goal_told + _GOAL_TOLD_EVERY:
+        if not is_new and wall < self._goal_logged_at + _GOAL_LOGGED_EVERY:
             return
-        self._goal_told = wall
+        self._goal_logged_at = wall
         self._reports.goal(clock.stamp(), is_new)
         if not is_new:
             return
@@ -381,7 +374,7 @@ class ControllerNode(ClockedNode):
         watch = self._control_clock.watch
         if not watch.is_steady:
             if self._monitor.is_steady:
-                self._check()  # to be told at once, and not at each of many jumps
+                self._check()  # to be reported at once, and not at each of many jumps
             return
         if not watch.has_returned:
             self._event_log.report(
@@ -394,12 +387,6 @@ class ControllerNode(ClockedNode):
         self._set_timer()
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(ControllerNode, args, _ABOUT)
+    return run(ControllerNode, args, __doc__ or "")

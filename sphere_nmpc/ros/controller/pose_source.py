@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.subscription import Subscription
 
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 from sphere_nmpc.ros.graph_monitor import INVALID, NO_EVENTS, UNKNOWN, publishers_of
 from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 

@@ -3,32 +3,39 @@
 """Publishers of the controller's goal, path, arrival, prediction, status and diagnostics."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMessage
-from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
-from sphere_nmpc.conditions import ERROR, OK, WARN, Condition, Kind, Severity, worst_first
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import rotor_reserve
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.schedule import Schedule
-from sphere_nmpc.fault_log import FaultLog, LastingFaults
+from sphere_nmpc.control.status import ControllerStatus, goals_in_force
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.reporting.conditions import (
+    ERROR,
+    OK,
+    WARN,
+    Condition,
+    Kind,
+    Report,
+    with_conditions,
+    worst_first,
+)
+from sphere_nmpc.reporting.fault_log import FaultLog, LastingFaults
+from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.ros.cdr import stamp_of
 from sphere_nmpc.ros.controller.monitor import ControllerMonitor
-from sphere_nmpc.ros.controller.status import ControllerStatus, goals_in_force
-from sphere_nmpc.ros.diagnostics import status, status_name
-from sphere_nmpc.ros.guarded_node import LATCHED
+from sphere_nmpc.ros.diagnostics import Diagnostics
+from sphere_nmpc.ros.guarded_node import LATCHED, GuardedNode
 from sphere_nmpc.ros.messages import path_to_ros, pose_to_ros
 from sphere_nmpc.settings import ControllerSettings
 
@@ -43,14 +50,16 @@ _LONGEST_SILENCE = 0.4
 
 
 class ControllerReports:
-    """Publisher of goal, arrival, path and status, in `frame`; source of the diagnostics.
+    """Publisher of goal, arrival, path, status and diagnostics, in `frame`.
 
-    `floor_pending` returns for how long a change of the floor has not been in force [s].
+    `now` returns the present stamp [ns], `floor_pending` for how long a change of the floor has
+    not been in force [s].
     """
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
+        now: Callable[[], int],
         controller: Controller,
         schedule: Schedule,
         fault_log: FaultLog,
@@ -90,13 +99,14 @@ class ControllerReports:
         self._path = node.create_publisher(PathMessage, "~/path", LATCHED)
         self._paths: tuple[Path, ...] | None = None
         self._prediction = node.create_publisher(PathMessage, "~/predicted_path", 10)
-        self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
-        self._name = status_name(node)
         self._values: dict[str, Any] = {}
         self._warnings: tuple[Condition, ...] = ()
-        """Those of the last status, the worst first."""
+        """Warnings of the last status, the worst first."""
         self._plan_message = Kind.NO_POSE.value
         self._status_at = perf_counter()
+        self._diagnostics = Diagnostics(
+            node, now, {"solver": self._solver, "loop": self._loop}, status=10
+        )
         self._publish_arrival()
         self._publish_path()
 
@@ -191,24 +201,24 @@ class ControllerReports:
         self, mode: Kind, warnings: Sequence[Condition], message: str, values: dict[str, Any]
     ) -> None:
         """Publish a status; the worst fault or warning takes precedence over `message`."""
-        told = worst_first((*self._monitor.faults, *warnings))
-        level = mode.severity
-        if told:
-            level, message = max(level, told[0].kind.severity), str(told[0])
         self._status_at = perf_counter()
         values = {
             **values, **goals_in_force(self._controller.active, self._active_goal),
             "floor_pending_s": self._floor_pending(),
             "pose_topic": self._monitor.topic,
         }
-        self._status.publish(status(self._name, level, message, values))
+        found = worst_first((*self._monitor.faults, *warnings))
+        report: Report = mode.severity, message, values
+        if found:
+            report = with_conditions(report, found)
+        self._diagnostics.status.publish(self._diagnostics.message(report))
 
     def _publish_arrival(self) -> None:
         if self._controller.at_goal is not self._at_goal_published:
             self._at_goal_published = self._controller.at_goal
             self._at_goal.publish(Bool(data=self._at_goal_published))
             if self._at_goal_published and self._decision is not None:
-                took, error = self._controller.arrival_took, self._decision.error
+                took, error = self._controller.following.arrival.took, self._decision.error
                 self._event_log.report(
                     "arrival", f"at the goal after {took:.2f} s, error {error:.1g}"
                 )
@@ -268,8 +278,8 @@ class ControllerReports:
             (Kind.POSE_JUMPED, gate.jumps, gate.last_jump),
             (Kind.POSE_LEFT_OUT, gate.outliers, gate.last_outlier),
         ):
-            is_told = kind is Kind.CONTROLLER_FAILED and mode is Kind.FALLBACK
-            if log.has_risen(kind.log, count) and not is_told:
+            is_reported = kind is Kind.CONTROLLER_FAILED and mode is Kind.FALLBACK
+            if log.has_risen(kind.log, count) and not is_reported:
                 log.report(kind.log, text)
 
     def _find_warnings(self, decision: Decision) -> tuple[Condition, ...]:
@@ -282,8 +292,8 @@ class ControllerReports:
             found = [rotors, *found] if rotors else found
         return worst_first(found)
 
-    def solver(self) -> tuple[Severity, str, Mapping[str, Any]]:
-        """Return level, message and values of the diagnostics about solve times and failures."""
+    def _solver(self) -> Report:
+        """Return the diagnostics about solve times and failures."""
         median, p99, most = _percentiles(self._solve_times)
         values = {
             "strategy": self._strategy,
@@ -298,8 +308,8 @@ class ControllerReports:
             return WARN, "solving takes longer than the control period", values
         return OK, "solving" if self._solve_times else "nothing solved yet", values
 
-    def loop(self) -> tuple[Severity, str, Mapping[str, Any]]:
-        """Return level, message and values of the diagnostics about ticks and the pose's age."""
+    def _loop(self) -> Report:
+        """Return the diagnostics about ticks and the pose's age."""
         ticks = self.ticks - self._ticks_reported
         self._ticks_reported = self.ticks
         decision = self._decision
@@ -317,11 +327,10 @@ class ControllerReports:
             "pose age s": float("inf") if decision is None else decision.pose_age,
             **self._fault_log.counts,
         }
-        mode, found = self._mode, self._monitor.faults
-        if found:
-            return max(mode.severity, found[0].kind.severity), found[0].name, values
+        mode = self._mode
         at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
-        return mode.severity, f"{mode.value}{at}", values
+        found = [one._replace(text="") for one in self._monitor.faults]
+        return with_conditions((mode.severity, f"{mode.value}{at}", values), found)
 
 
 def _shown(path: Path) -> Vector:

@@ -22,7 +22,7 @@ _SPACING = 8e-3
 
 
 class RotorReceiver:
-    """Subscriber of ``joint_states`` while the controller's `RotorFeedback` is in need of them.
+    """Subscriber of ``joint_states`` while the controller's `Link` is in need of them.
 
     Without a link all commands soon turn out to take effect in time; the subscription then ends,
     as at a high rate its messages would take time from the control loop.
@@ -40,7 +40,7 @@ class RotorReceiver:
 
     def update(self) -> None:
         """Subscribe, or end the subscription, as needed; call it at intervals."""
-        needed = self._controller.rotor_feedback.is_needed
+        needed = self._controller.link.needs_speeds
         if needed and self._subscription is None:
             self._subscription = self._node.create_subscription(
                 JointState, "joint_states", self._receive, _NEWEST, event_callbacks=NO_EVENTS,

@@ -25,8 +25,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.parameter import Parameter
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
-from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
-from sphere_nmpc.foreign_text import Description
+from sphere_nmpc.errors import Description, InvalidInputError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS, counted
 from sphere_nmpc.ros.goal_link import GoalLink

@@ -153,15 +153,15 @@ def feedback_of(
     feedback = kind.Feedback()
     if ways is not None:
         # Of newer versions of Nav2 the feedback has one message with all.
-        told = getattr(feedback, "tracking_feedback", feedback)
-        told.distance_to_goal, told.speed = report.total_distance_left, report.speed
-        if told is not feedback:
-            told.header, told.robot_pose = pose.header, pose
-            told.position_tracking_error = report.deviation
-            told.heading_tracking_error = -report.heading_error  # positive to the right
-            told.remaining_path_length = report.total_distance_left
+        tracking = getattr(feedback, "tracking_feedback", feedback)
+        tracking.distance_to_goal, tracking.speed = report.total_distance_left, report.speed
+        if tracking is not feedback:
+            tracking.header, tracking.robot_pose = pose.header, pose
+            tracking.position_tracking_error = report.deviation
+            tracking.heading_tracking_error = -report.heading_error  # positive to the right
+            tracking.remaining_path_length = report.total_distance_left
             left = np.fmin(report.total_distance_left, ways[-1])  # all where it is not known
-            told.current_path_index = int(np.searchsorted(ways, ways[-1] - left, "right")) - 1
+            tracking.current_path_index = int(np.searchsorted(ways, ways[-1] - left, "right")) - 1
         return feedback
     if hasattr(feedback, "current_waypoint"):
         feedback.current_waypoint = waypoint

@@ -40,7 +40,7 @@ from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, Schedu
 from sphere_nmpc.ros.stored import Stored, stored_file
 
 _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For measurements of which none may be dropped while the node is held up, for half a second at
+"""QoS of measurements of which none may be dropped while the node is held up, for half a second at
 2000 Hz; publishers of either reliability match."""
 _FEW = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DEPTH = 10
@@ -125,7 +125,7 @@ class OdometryNode(ClockedNode):
     def _receive_imu(self, message: bytes) -> None:
         imu = cdr.read(message, cdr.Imu)
         stamp, frame, numbers = imu
-        if not self._reports.imu.received(stamp, np.array(numbers)):
+        if not self._reports.received(self._reports.imu, stamp, np.array(numbers)):
             return
         imu.check_measured()
         if not self._stored.is_settled:
@@ -156,8 +156,10 @@ class OdometryNode(ClockedNode):
     def _receive_joints(self, message: bytes) -> None:
         joints = cdr.read(message, cdr.Joints)
         found = joints.of_rotors()
-        if found is None or not self._reports.joints.received(joints.stamp, found):
-            return  # of other joints, or without a time
+        if found is None:
+            return  # of other joints
+        if not self._reports.received(self._reports.joints, joints.stamp, found):
+            return
         angles, speeds, _ = found
         known = self._angles = angles if np.isfinite(angles).all() else None
         if self.odometry.observe_rotors(self._time(joints.stamp), speeds, known):
@@ -213,7 +215,7 @@ class OdometryNode(ClockedNode):
             self._sent = []
             return
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
-        height_deviation = radius * self._settings.radius_deviation
+        height_deviation = self._settings.height_deviation(radius)
 
         def moving() -> tuple[Vector, Vector, tuple[Vector, Vector]]:
             of_pose = fixed_axes_covariance(pose, estimate.covariance, height_deviation)
@@ -254,7 +256,8 @@ class OdometryNode(ClockedNode):
 
     def _check(self) -> None:
         if self._epoch is not None:
-            self.odometry.check(self._time(self._reports.imu.heard_until()))
+            heard = self._reports.imu.heard_until(self._control_clock.stamp())
+            self.odometry.check(self._time(heard))
         self._reports.update(self.odometry)
         self._save()
         self._event_log.flush()
@@ -262,7 +265,7 @@ class OdometryNode(ClockedNode):
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Serve a robot, or a simulator, that is at its start again."""
         for stream in (self._reports.imu, self._reports.joints):
-            stream.begin_anew()
+            stream.begin_anew(self._control_clock.stamp())
         self._begin_anew()
         response.success, response.message = True, "begins anew at initial_state"
         self._event_log.report("reset", response.message)
@@ -289,12 +292,6 @@ class OdometryNode(ClockedNode):
         self._epoch, self._sent, self._sent_stamp = None, [], -1
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(OdometryNode, args, _ABOUT)
+    return run(OdometryNode, args, __doc__ or "")

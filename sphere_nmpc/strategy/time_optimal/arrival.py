@@ -51,11 +51,11 @@ _Kind = TypeVar("_Kind", LeastSquaresProblem, MinimumTimeProblem)
 
 _REGULARISATION = 1e-12
 """Input weight of a trial that only keeps the normal equations regular."""
-_LEAST_GAIN = 1e-4
+_MIN_GAIN = 1e-4
 """Decrease of the duration by a step [of the unit of time] below which an arrival is converged."""
 _FIRST_PROXIMAL = 1.0
 """First proximal weight of a minimum-time problem [of the unit of time]."""
-_KEEPING = 100.0
+_KEEPING_PROXIMAL = 100.0
 """First proximal weight where a guess is to change little [of the unit of time]."""
 _CALL_WORK = 60
 """Work of a call apart from its iterations."""
@@ -179,8 +179,8 @@ class ArrivalSolver:
             self._roll_steadily(problem, rolling, guess.speeds[1:], steady, turns)
         settings = SolverSettings(
             max_iterations=iterations or tuning.iterations,
-            decrease_floor=_LEAST_GAIN * self.grid.unit,
-            initial_damping=(_KEEPING if kept else _FIRST_PROXIMAL) * self.grid.unit,
+            decrease_floor=_MIN_GAIN * self.grid.unit,
+            initial_damping=(_KEEPING_PROXIMAL if kept else _FIRST_PROXIMAL) * self.grid.unit,
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
         solution = solve(problem, guess.speeds[1:], settings, budget)

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
@@ -21,6 +20,7 @@ from sphere_nmpc.model.state import (
     nearer_sign,
     state_error,
 )
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce
@@ -30,7 +30,7 @@ from sphere_nmpc.strategy.time_optimal.arrival import RAISES, ArrivalSolver, rol
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
-_ENDED = 1e-3
+_MIN_TIME_LEFT = 1e-3
 """Time left of a plan [s] below which it has ended."""
 
 
@@ -78,7 +78,7 @@ def solved_again(
         Whether it is solved for the goal of the situation, rather than for its own.
     """
     now, settings, before = situation.time, solver.settings, followed.plan
-    if before.end - now < _ENDED:
+    if before.end - now < _MIN_TIME_LEFT:
         return None
     hold = rest = left_of(before, now, solver.grid)
     goal, asked = before.leg.goal, before.asked if before.spared else -math.inf

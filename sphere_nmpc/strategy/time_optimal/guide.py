@@ -31,27 +31,27 @@ from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.lines import gone_back, line_hold
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
-_LONGEST_LEG = 1e4
+_MAX_LEG = 1e4
 """Leg of a straight route on which the sphere rolls steadily [m]: the direction to a goal at
 100 km would have to be planned to more digits than the solver attains."""
-_LAST_LEG = 2.5
+_MAX_LAST_LEG_RATIO = 2.5
 """Length of the last leg at most, over that of the others."""
-_FARTHEST = 14.0
+_MAX_GOAL_DISTANCE = 14.0
 """Largest distance of a local goal on a route with corners [Rs]."""
 _CANDIDATES = 24
 """Number of places among which a local goal is chosen."""
-_LENGTHS = 0.1, 0.3, 0.75, 1.75, 3.0, 5.0, 10.0
+_LINE_LENGTHS = 0.1, 0.3, 0.75, 1.75, 3.0, 5.0, 10.0
 """Lengths of the lines that are tried [Rs]. Local goals are no nearer than the shortest one.
 
 By its length the way left at the end of a part has to be less than where the sphere has last
 rested: there are then finitely many rests on the way to a goal.
 """
-_LINES = 6
+_MAX_LINES = 6
 """Lines to a narrow place at most."""
-_OPEN, _NARROW = 0.8, 0.2
+_OPEN_ROOM, _NARROW_ROOM = 0.8, 0.2
 """Room beyond the needed distance [Rs] with which a search finds motions easily; room at a goal
 below which it hardly does."""
-_REST_COSTS = 1.5
+_REST_TIME_RATIO = 1.5
 """Time of the rest of a route, over that of rolling it without a stop: there will be others."""
 
 
@@ -134,13 +134,13 @@ class Guide:
         situation, place, goal = self._situation, self._place, self._goal
         floor, steady = situation.floor, situation.has_small_momentum
         near = self._solver.near_distance
-        leg, distance = _LONGEST_LEG if steady else near, float(np.linalg.norm(goal - place))
+        leg, distance = _MAX_LEG if steady else near, float(np.linalg.norm(goal - place))
         sees_goal = failed % 2 == 0 and floor.least_distance(place) > 0.0 and bool(
             in_sight(floor, place, goal[None, :], needed_distance(situation, Margin.FOUND))[0]
         )
-        if sees_goal and distance <= (leg if failed and not steady else _LAST_LEG * leg):
+        if sees_goal and distance <= (leg if failed and not steady else _MAX_LAST_LEG_RATIO * leg):
             room = floor.least_distance(goal) - situation.least_distance
-            narrow = room < _NARROW * situation.radius
+            narrow = room < _NARROW_ROOM * situation.radius
             aims = [] if narrow else [Aim(situation)]
             return Guidance(aims, sees_goal, by_lines=narrow or failed > 0)
         if sees_goal:
@@ -179,7 +179,7 @@ class Guide:
 
     def leads_on(self, plan: Plan) -> bool:
         """Return whether a plan leads on from where the sphere has last rested."""
-        least = _LENGTHS[0] * self._situation.radius
+        least = _LINE_LENGTHS[0] * self._situation.radius
         return self.route.length(_end_of(plan)) <= self.route.length(self._rested) - least
 
     def on_the_way(self, plan: Plan) -> Plan:
@@ -201,11 +201,11 @@ class Guide:
         orientation does not matter to it.
         """
         situation, solver, route = self._situation, self._solver, self.route
-        targets = along(route.path(self._place), situation.radius * np.array(_LENGTHS))
+        targets = along(route.path(self._place), situation.radius * np.array(_LINE_LENGTHS))
         speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
 
         def cost(line: Plan) -> float:
-            return line.duration + _REST_COSTS * route.length(_end_of(line)) / speed
+            return line.duration + _REST_TIME_RATIO * route.length(_end_of(line)) / speed
 
         on = filter(self.leads_on, _lines(situation, solver, targets))
         return min(on, key=cost, default=None)
@@ -222,13 +222,13 @@ class Guide:
 
         def room(place: Vector) -> float:
             free = situation.floor.least_distance(place) - situation.least_distance
-            return min(free, _OPEN * situation.radius)
+            return min(free, _OPEN_ROOM * situation.radius)
 
         def gain(line: Plan) -> float:
             return room(_end_of(line)) / (line.duration + solver.grid.unit)
 
-        for _ in range(_LINES):
-            place, lengths = here.state[POSITION], situation.radius * np.array(_LENGTHS)
+        for _ in range(_MAX_LINES):
+            place, lengths = here.state[POSITION], situation.radius * np.array(_LINE_LENGTHS)
             path = path[int(np.argmin(np.linalg.norm(path - place, axis=1))) :]
             away = _away(here, place)
             targets = np.vstack((along(path, lengths), place + lengths[:, None] * away))
@@ -237,7 +237,7 @@ class Guide:
                 break
             holds.append(gone_back(line.hold))
             here = replace(here, state=line.states[-1])
-            if room(here.state[POSITION]) >= _OPEN * situation.radius:
+            if room(here.state[POSITION]) >= _OPEN_ROOM * situation.radius:
                 break
         if not holds:
             return None
@@ -252,10 +252,10 @@ def _end_of(plan: Plan) -> Vector:
 def _place_on(path: Vector, situation: Situation, failed: int) -> Vector:
     """Return the place on the path of a route that is aimed at, shape (2,) [m]."""
     place, radius, near = situation.state[POSITION], situation.radius, 0.5**failed
-    reach = max(_LENGTHS[0], _FARTHEST * near) * radius
+    reach = max(_LINE_LENGTHS[0], _MAX_GOAL_DISTANCE * near) * radius
     straight = float(np.linalg.norm(situation.goal.pose[POSITION] - place))
     if failed and straight < reach:
-        reach = max(_LENGTHS[0] * radius, near * straight)
+        reach = max(_LINE_LENGTHS[0] * radius, near * straight)
     away: Vector = np.linspace(reach / _CANDIDATES, reach, _CANDIDATES, dtype=np.float64)
     targets = along(path, away)
     needed = needed_distance(situation, Margin.FOUND)

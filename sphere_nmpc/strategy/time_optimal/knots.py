@@ -13,13 +13,13 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 
-_FINER = 4
+_FINE_KNOT_RATIO = 4
 """Knots near both ends of a plan for each one elsewhere."""
 _FINE_SPAN = 4.0
 """Time near both ends in which there are so many [of the spacing]."""
-_MANOEUVRE = 3.0
+_MANOEUVRE_TIME = 3.0
 """Time in which a plan leads into steady rolling [1 / (c1 u_max)], apart from ramps."""
-_LEAST = 1e-3
+_MIN_INTERVAL = 1e-3
 """Shortest interval [of the spacing]: a knot that is nearer is left out."""
 
 
@@ -47,7 +47,7 @@ class Grid:
     @property
     def fine(self) -> float:
         """Spacing near both ends, and the longest integration step of a plan [s]."""
-        return self.spacing / _FINER
+        return self.spacing / _FINE_KNOT_RATIO
 
     def coarse(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold, from time 0 on, at knots about `spacing` apart."""
@@ -73,7 +73,7 @@ class Grid:
 
     def split(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold in which only intervals after a manoeuvre are long."""
-        times, until = hold.times, hold.start + _MANOEUVRE * self.unit + 4.0 * self.spacing
+        times, until = hold.times, hold.start + _MANOEUVRE_TIME * self.unit + 4.0 * self.spacing
         long = np.flatnonzero((hold.durations > 2.0 * self.spacing) & (times[:-1] < until))
         if not long.size:
             return hold
@@ -85,7 +85,7 @@ class Grid:
 
     def thinned(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold without the knots that are very near to the one before them."""
-        near = hold.durations < _LEAST * self.spacing
+        near = hold.durations < _MIN_INTERVAL * self.spacing
         if not near.any() or near.size == 1:
             return hold
         kept = np.concatenate(([True], ~near[:-1], [True]))

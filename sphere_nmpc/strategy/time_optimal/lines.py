@@ -28,15 +28,15 @@ from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
 
 _STEP = 1.0 / 80.0
 """Largest step in which the orientation is integrated [rad]."""
-_HORIZONTAL = 5e-3
+_HORIZONTAL_ANGLE = 5e-3
 """Angle [rad] up to which the body's z axis counts as horizontal, where the sphere turns in place
 until it can roll along the line: the centre moves by 3 mm at the most."""
 _TURNED: Vector = np.linspace(0.0, 1.0, 9, dtype=np.float64)
 """Shares of such a turn at its knots."""
-_SPACINGS = 0.5, 0.25, 0.12, 0.06
+_KNOT_SPACINGS = 0.5, 0.25, 0.12, 0.06
 """Spacings of the knots [of the fine ones of a plan], of which the first one is taken with which
 the motion ends within `Margin.KEPT`: the speeds between knots are linear."""
-_RISING = 0.5
+_PACE_SHARE = 0.5
 """Share of the limit of the rotors' acceleration for the change of the pace; the rest is for that
 of the direction."""
 
@@ -77,7 +77,7 @@ def speeds_along(
     power, axis = 1.0 / (1.0 - constants.axial_ratio), np.array((-direction[1], direction[0], 0.0))
     z = rotation.matrix(quaternion)[:, 2]
     side = math.copysign(1.0, z[2])
-    constant = 0.0 if abs(z[2]) < _HORIZONTAL else float(z @ axis) / abs(z[2]) ** power
+    constant = 0.0 if abs(z[2]) < _HORIZONTAL_ANGLE else float(z @ axis) / abs(z[2]) ** power
 
     def turning(turn: Vector) -> Vector:
         """Return the angular velocity at an orientation, for 1 rad/s of rolling."""
@@ -138,7 +138,7 @@ def line_hold(
     length = float(np.linalg.norm(way))
     at, speeds = speeds_along(there[QUATERNION], way / length, length / radius, constants)
     fastest = _at_full_pace(at, speeds, limit, rate)
-    for spacing in _SPACINGS:
+    for spacing in _KNOT_SPACINGS:
         count = max(4, math.ceil(fastest.end / (spacing * solver.grid.fine)))
         rolled = fastest.resampled(np.linspace(0.0, fastest.end, count + 1, dtype=np.float64))
         line = turned.followed_by(rolled.delayed(turned.end))
@@ -156,7 +156,7 @@ def _missing_turn(quaternion: Vector, direction: Vector) -> float:
     x, y, vertical = rotation.matrix(quaternion)[:, 2].tolist()
     along = math.atan2(x * direction[1] - y * direction[0], x * direction[0] + y * direction[1])
     missing = math.remainder(along, math.pi)
-    return missing if abs(vertical) < _HORIZONTAL < abs(missing) else 0.0
+    return missing if abs(vertical) < _HORIZONTAL_ANGLE < abs(missing) else 0.0
 
 
 def _at_full_pace(at: Vector, speeds: Vector, limit: float, rate: float) -> FirstOrderHold:
@@ -170,9 +170,9 @@ def _at_full_pace(at: Vector, speeds: Vector, limit: float, rate: float) -> Firs
     change = np.max(np.abs(np.diff(speeds, axis=0)), axis=1) / steps
     change = np.maximum(np.append(change, 0.0), np.append(0.0, change))
     squares = np.minimum(
-        (limit / largest) ** 2, (1.0 - _RISING) * rate / np.maximum(change, 1e-12)
+        (limit / largest) ** 2, (1.0 - _PACE_SHARE) * rate / np.maximum(change, 1e-12)
     )
-    rises = 2.0 * steps * _RISING * rate / np.maximum(largest[1:], largest[:-1])
+    rises = 2.0 * steps * _PACE_SHARE * rate / np.maximum(largest[1:], largest[:-1])
     squares[0] = squares[-1] = 0.0
     for k, rise in enumerate(rises):
         squares[k + 1] = min(squares[k + 1], squares[k] + rise)

@@ -33,7 +33,7 @@ from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.rest import stop
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later, solver_for
+from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later
 from sphere_nmpc.strategy.time_optimal.following import (
     at_its_end,
     leads_to,
@@ -41,9 +41,10 @@ from sphere_nmpc.strategy.time_optimal.following import (
     next_leg,
     solved_again,
 )
+from sphere_nmpc.strategy.time_optimal.search_task import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 
-_LEAST_GAIN = 5e-3
+_MIN_GAIN = 5e-3
 """Time [1 / (c1 u_max)] by which a plan has to arrive earlier to replace the one in force."""
 
 
@@ -71,7 +72,7 @@ class Saturated:
 
 
 State = Searching | InForce | Holding | Saturated
-"""That of following is an `InForce`; whether it ends in the dead band is its plan's status."""
+"""State of following is an `InForce`; whether it ends in the dead band is its plan's status."""
 
 
 class Machine:
@@ -196,7 +197,7 @@ class Machine:
             return True
         if not self._leads_to(found, situation) or not _reaches(found):
             return False
-        gain = _LEAST_GAIN * self._solver_of(kept).grid.unit
+        gain = _MIN_GAIN * self._solver_of(kept).grid.unit
         return not _reaches(kept) or found.plan.cost < kept.plan.cost - gain
 
     def _found(

@@ -40,21 +40,21 @@ from sphere_nmpc.strategy.time_optimal.steady_rolling import (
 
 _COMPARED: Vector = np.arange(1, 16) / 16.0
 """Times at which two motions are compared [of their durations]."""
-_ALIKE = 0.2
+_MAX_DIFFERENCE = 0.2
 """Mean difference of the speeds of two motions [of the largest] up to which they are alike."""
-_FIRST_TURNS, _GROWTH = 8, 2
+_FIRST_TURNS, _TURNS_GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
 _FIRST_SHARE = 0.5
 """Share of half motions and guesses that are tried in a round before the first arrival."""
-_LATER = 2.5
+_DELAY_GROWTH = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""
 _TIME_OF_ERROR = 2.5
 """Time by which a trial is longer than the one before, for its error [1 / (c1 u_max)]."""
-_LARGEST_MERIT = 1.1
+_MAX_MERIT = 1.1
 """Sum of duration and delay [of the best arrival] up to which a trial is polished."""
-_ROUNDS = 4
+_MAX_ROUNDS = 4
 """Rounds at most in which an earlier arrival is searched for, while guesses collide."""
-_REACHED, _REACHED_SHARE = 0.05, 0.1
+_REACHED_ERROR, _REACHED_SHARE = 0.05, 0.1
 """Terminal error [-], and share of that at the start, below which a polished arrival is solved to
 the end."""
 
@@ -95,10 +95,10 @@ class ArrivalSearch:
             self._aim_near(known)
         self._least = self._rolling_time(self._near) + detour / self._rolling.speed
         self._least += robot.ramp_time
-        self._reached = _REACHED
+        self._reached = _REACHED_ERROR
         if situation.has_small_momentum:  # otherwise the sphere leaves the goal by itself
             error = state_error(situation.state, situation.goal.pose)
-            self._reached = min(_REACHED, _REACHED_SHARE * error)
+            self._reached = min(_REACHED_ERROR, _REACHED_SHARE * error)
         self._window, self._later = settings.window * grid.unit, 0.0
         self.best: Plan | None = known
         """The earliest arrival found so far."""
@@ -140,7 +140,7 @@ class ArrivalSearch:
             for _ in self._finished(self.best, added=self._turns):
                 pass
         known = self.best
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             for _ in self._round(1.0):
                 if time.perf_counter() > deadline:
                     return self.best
@@ -168,7 +168,7 @@ class ArrivalSearch:
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
         for arrival in survivors:
-            if self._merit(arrival) > _LARGEST_MERIT * longest:
+            if self._merit(arrival) > _MAX_MERIT * longest:
                 break
             if arrival.error > self._reached:
                 arrival = self._with_more_time(arrival)
@@ -181,7 +181,7 @@ class ArrivalSearch:
                 yield from self._finished(arrival)
         # The shortest guesses may all be too short.
         short = (bool(polished) and not reached) or self.best is None
-        self._later = _LATER * self._later + self._grid.spacing if short else 0.0
+        self._later = _DELAY_GROWTH * self._later + self._grid.spacing if short else 0.0
 
     def _merit(self, arrival: Plan) -> float:
         """Return the duration with what its error is worth [s]."""
@@ -302,7 +302,7 @@ class ArrivalSearch:
         one.
         """
         while added < self._turns:
-            more = min(self._turns, max(_FIRST_TURNS, _GROWTH * added)) - added
+            more = min(self._turns, max(_FIRST_TURNS, _TURNS_GROWTH * added)) - added
             added += more
             yield added, more
 
@@ -326,6 +326,6 @@ def _different(
         signature = hold.resampled(hold.end * _COMPARED).speeds
         largest = float(np.max(np.abs(hold.speeds)))
         alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
-        if np.isfinite(arrival.error) and all(d > _ALIKE * largest for d in alike):
+        if np.isfinite(arrival.error) and all(d > _MAX_DIFFERENCE * largest for d in alike):
             signatures.append(signature)
             yield arrival

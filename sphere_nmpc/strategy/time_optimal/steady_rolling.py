@@ -14,13 +14,13 @@ import numpy as np
 from sphere_nmpc.model.first_order_hold import SAME, FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants
 
-_LEAST_INTEGRATED = 0.5
+_MIN_INTEGRATED_TURNS = 0.5
 """Turns that remain in an interval of steady rolling when whole ones are left out, at the least:
 the displacement over them stands for that over all turns."""
 
-_NEARLY = 0.9
+_LIMIT_SHARE = 0.9
 """Share of the speed limit beyond which a rotor counts as being at it."""
-_MANOEUVRE = 2.0
+_MANOEUVRE_TIME = 2.0
 """Time beyond that of steady rolling that a motion takes [s]."""
 
 
@@ -52,7 +52,7 @@ class SteadyRolling:
 
     def duration(self, way: float) -> float:
         """Return about how long a motion over `way` [m] from rest to rest takes [s]."""
-        return _MANOEUVRE + way / self.speed
+        return _MANOEUVRE_TIME + way / self.speed
 
 
 def steady_interval(
@@ -63,8 +63,8 @@ def steady_interval(
     Both are 0 without one: there the rotors are at the limit `max_speed` [rad/s].
     """
     longest = int(np.argmax(hold.durations))
-    turns = max(0, int(float(hold.durations[longest]) / rolling.turn_time - _LEAST_INTEGRATED))
-    if not turns or np.any(np.abs(hold.speeds[longest : longest + 2]) < _NEARLY * max_speed):
+    turns = max(0, int(float(hold.durations[longest]) / rolling.turn_time - _MIN_INTEGRATED_TURNS))
+    if not turns or np.any(np.abs(hold.speeds[longest : longest + 2]) < _LIMIT_SHARE * max_speed):
         return 0, 0
     return longest, turns
 
@@ -92,7 +92,7 @@ def with_turns(hold: FirstOrderHold, added: float, max_speed: float) -> FirstOrd
     They begin at time 0 and keep the limit `max_speed` [rad/s].
     """
     times, speeds = hold.times, hold.speeds
-    at_limit = np.where(np.abs(speeds) > _NEARLY * max_speed, np.sign(speeds), 0.0)
+    at_limit = np.where(np.abs(speeds) > _LIMIT_SHARE * max_speed, np.sign(speeds), 0.0)
     place, longest, begin = 0.5 * hold.end, 0.0, 0
     for i in range(times.size):
         if not at_limit[i].all() or not np.array_equal(at_limit[i], at_limit[begin]):

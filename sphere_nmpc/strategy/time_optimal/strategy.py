@@ -18,8 +18,8 @@ import time
 from dataclasses import replace
 from functools import partial
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import SATURATED, AtRest
 from sphere_nmpc.strategy.clearance import stop_before_contact
@@ -38,8 +38,8 @@ from sphere_nmpc.strategy.time_optimal.machine import (
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.worker.contract import Worker
 
-_MANY = 8
-"""Searches without a plan from which on that is told."""
+_REPORTED_SEARCHES = 8
+"""Searches without a plan from which on that is reported."""
 
 
 class TimeOptimalStrategy:
@@ -144,6 +144,6 @@ class TimeOptimalStrategy:
             return stop(situation, robot, "no way to the goal").giving_up(search.no_way, kind)
         plan = stop(situation, robot, "no arrival found yet")
         given_up = stop_before_contact(situation, plan.hold)
-        if not given_up and search.failed >= _MANY:
+        if not given_up and search.failed >= _REPORTED_SEARCHES:
             given_up = "the goal for now: no motion to it was found from here"
         return plan.giving_up(given_up)

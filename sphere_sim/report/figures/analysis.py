@@ -60,20 +60,20 @@ def rotor_torques(run: Run) -> Figure:
 
     For Table 1 that is the bound on all torques that the paper states.
     """
-    bound = run.robot.full_torque
+    bound, torques = run.robot.full_torque, run.rotor_torques
     with styled():
         figure, axes = _single("Rotor torques")
-        if not np.any(np.isfinite(run.rotor_torques)):
+        if not np.any(np.isfinite(torques.values)):
             mark_missing(axes, "rotor torques")
             return figure
         for i in range(2):
-            axes.plot(run.joint_times, run.rotor_torques[:, i], DASHES[i], color=ROTORS[i],
+            axes.plot(torques.times, torques.values[:, i], DASHES[i], color=ROTORS[i],
                       label=f"$M_{i + 1}$")
         _draw_limits(axes, bound)
         axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
                       (0.995, bound), xycoords=("axes fraction", "data"), color=GREY,
                       fontsize=8, ha="right", va="bottom")
-        from_start(axes, run.joint_times[-1])
+        from_start(axes, torques.times[-1])
         axes.margins(y=0.12)
         legend_above(axes)
         _label(axes, "torque [N m]")
@@ -86,7 +86,7 @@ def solve_times(run: Run) -> Figure:
         figure = Figure(figsize=(WIDTH, 4.0), layout="constrained")
         over_time, histogram = figure.subplots(1, 2)
         over_time.set_title("Solve time")
-        durations = 1e3 * run.solves.durations
+        durations = 1e3 * run.solves.column("duration")
         known = np.isfinite(durations)
         if not np.any(known):
             mark_missing(over_time, "solve times")
@@ -114,7 +114,8 @@ def value_function(run: Run) -> Figure:
     """
     with styled():
         figure, axes = _single("Value of the optimal control problem")
-        times, costs, to_go = run.solves.times, run.solves.costs, run.solves.to_go
+        times, costs = run.solves.times, run.solves.column("cost")
+        to_go = run.solves.column("time_to_go")
         positive, reported = np.isfinite(costs) & (costs > 0.0), np.isfinite(to_go)
         if np.any(reported):
             _draw_samples(axes, times[reported], to_go[reported])
@@ -134,9 +135,9 @@ def momentum_over_time(run: Run) -> Figure:
     momentum = run.momentum
     with styled():
         figure, axes = _single("Angular momentum about the contact point")
-        for time in momentum.push_times:
+        for time in run.pushes.times:
             axes.axvline(time, color=GREY, linewidth=1.0)
-        if not momentum.times.size:
+        if not momentum:
             mark_missing(axes, "momentum")
             return figure
         for i, name in enumerate("xyz"):
@@ -151,12 +152,12 @@ def momentum_over_time(run: Run) -> Figure:
 
 def clearance_over_time(run: Run) -> Figure:
     """Draw the distance between the sphere and what is occupied, and that of its plans."""
-    floors = run.floors
+    planned = run.planned_clearances
     with styled():
         figure, axes = _single("Clearance to what is occupied")
-        if floors.report_times.size:
-            axes.step(floors.report_times, floors.clearances, linestyle=DASHES[1], where="post",
-                      color=SKY, label="of the plan, reported")
+        if planned:
+            axes.step(planned.times, planned.values, linestyle=DASHES[1], where="post", color=SKY,
+                      label="of the plan, reported")
         axes.plot(run.times, run.clearances, color=COLOURS[0], label="of the sphere, by its poses")
         axes.axhline(0.0, color=VERMILION, linewidth=1.0)
         axes.annotate("touch", (0.005, 0.0), color=VERMILION, fontsize=8,
@@ -169,7 +170,7 @@ def clearance_over_time(run: Run) -> Figure:
 
 def estimate_errors_over_time(run: Run) -> Figure:
     """Draw the errors of the pose that odometry estimates: distance, and angle of the heading."""
-    estimates = run.estimates
+    errors = run.estimate_errors
     with styled():
         figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
         rows = figure.subplots(2, 1, sharex=True)
@@ -177,7 +178,7 @@ def estimate_errors_over_time(run: Run) -> Figure:
         for i, (axes, unit, name) in enumerate(zip(
             rows, (1e3, np.degrees(1.0)), ("position [mm]", "heading [°]"), strict=True
         )):
-            axes.plot(estimates.times, unit * estimates.errors[:, i], color=(DISTANCE, ANGLE)[i])
+            axes.plot(errors.times, unit * errors.values[:, i], color=(DISTANCE, ANGLE)[i])
             axes.axhline(0.0, color=GREY, linewidth=1.0)
             _label(axes, name)
         rows[0].label_outer()

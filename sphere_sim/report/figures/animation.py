@@ -49,7 +49,7 @@ class Camera:
     size: tuple[int, int]
     """Width and height [pixels]."""
     axes: Vector
-    """To the right, up and towards the viewer: unit vectors, shape (3, 3) [world frame]."""
+    """Axes to the right, up and towards the viewer: unit vectors, shape (3, 3) [world frame]."""
     scale: float
     """Scale [pixels/m]."""
     middle: Vector
@@ -135,7 +135,7 @@ def _floor(camera: Camera, run: Run, radius: float) -> Image.Image:
         draw.line(camera.project([(left, y, 0.0), (right, y, 0.0)]), fill=_LINES, width=2)
     if run.goal is not None:
         place = (*run.goal[POSITION], radius)
-        free = run.goals[-1].orientation is Orientation.ANY
+        free = run.goals.values[-1].orientation is Orientation.ANY
         shown = None if free else run.goal[QUATERNION]
         _paint_ball(picture, camera, place, shown, radius, opacity=0.28)
     return picture

@@ -41,10 +41,10 @@ def comparison(runs: Sequence[Run]) -> Figure:
             path.plot(*run.states[0, :2], "o", color=style["color"], markersize=5)
             if run.goal is not None:
                 path.plot(*run.goal[:2], "*", color=style["color"], markersize=11)
-            if run.joint_times.size:
-                speed.plot(run.joint_times, np.max(np.abs(run.rotor_speeds), axis=1), **style)
-            if run.solves.times.size:
-                order = np.sort(1e3 * run.solves.durations)
+            if speeds := run.rotor_speeds:
+                speed.plot(speeds.times, np.max(np.abs(speeds.values), axis=1), **style)
+            if run.solves:
+                order = np.sort(1e3 * run.solves.column("duration"))
                 solve.step(order, np.linspace(0.0, 1.0, order.size), where="post", **style)
         for axes, title, horizontal, vertical in (
             (speed, "c: larger rotor speed", "time [s]", r"max $|u_i|$ [rad/s]"),

@@ -10,6 +10,7 @@ from matplotlib.patches import Ellipse
 
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.model.state import Vector
+from sphere_sim.evaluation.series import Series
 from sphere_sim.report.figures.style import (
     ANGLE,
     DISTANCE,
@@ -29,22 +30,21 @@ _TWO = 2.0
 
 def estimated_poses(
     estimates: Sequence[PoseEstimate], table: Mapping[str, Vector],
-    references: Mapping[str, tuple[Vector, Vector, Vector]],
+    references: Mapping[str, tuple[Series, Vector]],
 ) -> Figure:
     """Draw the path with ellipses of two standard deviations, and deviations over time.
 
-    `table` has the columns of `estimate_table`. The `references` by name have times [s], states,
-    shape (n, 6), and the distances [m] and angles about the vertical [rad] of the estimates from
-    them, shape (n, 2).
+    `table` has the columns of `estimate_table`. The `references` by name have poses, and the
+    distances [m] and angles about the vertical [rad] of the estimates from them, shape (n, 2).
     """
     with styled():
         figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
         grid = figure.add_gridspec(2, 2)
         plane = figure.add_subplot(grid[:, 0])
         plane.set_title("Path, with ellipses of two standard deviations")
-        for name, (_, states, _) in references.items():
-            many = len(states) > len(estimates) // 10
-            plane.plot(states[:, 0], states[:, 1], "--" if many else "x", color=GREY,
+        for name, (poses, _) in references.items():
+            many = len(poses) > len(estimates) // 10
+            plane.plot(poses.values[:, 0], poses.values[:, 1], "--" if many else "x", color=GREY,
                        label=literal(name))
         plane.plot(table["x"], table["y"], color=PATH, label="estimated")
         for k in np.linspace(0, len(estimates) - 1, min(_ELLIPSES, len(estimates))).astype(int):
@@ -67,8 +67,8 @@ def estimated_poses(
             over.set_title(f"{column.capitalize()}, with two standard deviations")
             band = table[f"{column}_deviation_{'m' if row == 0 else 'rad'}"]
             over.fill_between(times, 0.0, _TWO * factor * band, color=colour, alpha=0.25)
-            for name, (at, _, errors) in references.items():
-                over.plot(at - table["time_s"][0], factor * np.abs(errors[:, row]), ".",
+            for name, (poses, errors) in references.items():
+                over.plot(poses.times - table["time_s"][0], factor * np.abs(errors[:, row]), ".",
                           markersize=2.5, color=colour, label=f"from {literal(name)}")
                 over.legend()
             from_start(over, times[-1])

@@ -110,10 +110,11 @@ def _draw_floor(axes: Axes, run: Run) -> None:
 def draw_rotor_speeds(axes: Axes, run: Run) -> None:
     """Draw the rotor speeds over time, with their limits."""
     limit = run.robot.max_rotor_speed
-    if np.any(np.isfinite(run.rotor_speeds)):
+    speeds = run.rotor_speeds
+    if np.any(np.isfinite(speeds.values)):
         for i in range(2):
-            values = run.rotor_speeds[:, i]
-            axes.plot(run.joint_times, values, DASHES[i], color=ROTORS[i], label=f"$u_{i + 1}$")
+            values = speeds.values[:, i]
+            axes.plot(speeds.times, values, DASHES[i], color=ROTORS[i], label=f"$u_{i + 1}$")
         for side in (-limit, limit):
             axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
         axes.set_ylim(-1.12 * limit, 1.12 * limit)
@@ -126,7 +127,7 @@ def draw_rotor_speeds(axes: Axes, run: Run) -> None:
 
 def _draw_goal_lines(axes: Axes, run: Run, part: slice) -> None:
     goal = run.goal
-    free = part == QUATERNION and run.goals and run.goals[-1].orientation is Orientation.ANY
+    free = part == QUATERNION and run.goals and run.goals.values[-1].orientation is Orientation.ANY
     if goal is not None and not free:
         for i, value in enumerate(goal[part]):
             axes.axhline(value, color=COLOURS[i], linewidth=0.9, linestyle=":", alpha=0.8)

@@ -27,8 +27,7 @@ from rclpy.subscription import Subscription
 from rosbags.interfaces import Qos
 from std_srvs.srv import Trigger
 
-from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import InvalidInputError, shown
 from sphere_nmpc.ros.cdr import Status, read
 from sphere_nmpc.ros.graph_monitor import (
     INVALID,

@@ -20,9 +20,9 @@ from rosbags.interfaces import (
     QosTime,
 )
 
-from sphere_nmpc.conditions import Condition, Kind
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import shown
 from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX
 from sphere_sim.recording.recorder_settings import DEFAULT_TOPICS, absolute, matches_any
 

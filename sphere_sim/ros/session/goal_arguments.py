@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.errors import InvalidStateError
-from sphere_nmpc.foreign_file import InvalidFileError, find_file
+from sphere_nmpc.foreign.file import InvalidFileError, find_file
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
 from sphere_nmpc.quantity import counted

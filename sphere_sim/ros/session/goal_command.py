@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 
 import rclpy
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_client import NavigatorSettings, Outcome
 from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.goal import Orientation
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
 from sphere_sim.recording.message_fields import number, reported_orientation

@@ -11,7 +11,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from sphere_nmpc.control.goal_report import GoalReport
-from sphere_nmpc.foreign_text import printable_line
+from sphere_nmpc.errors import printable_line
 from sphere_sim.output.live_display import LiveDisplay
 
 _WIDTH = 18

@@ -8,10 +8,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.quantity import counted
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
 from sphere_nmpc.ros.graph_monitor import type_name
 from sphere_sim.ros.session.serving import serve_until

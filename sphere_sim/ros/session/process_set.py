@@ -6,7 +6,7 @@ import signal
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sphere_nmpc.child import END_SIGNALS, Child, python_command, stop_together
+from sphere_nmpc.process.child import END_SIGNALS, Child, python_command, stop_together
 
 
 def verb_command(verb: str, *arguments: str) -> list[str]:

@@ -20,7 +20,7 @@ from sphere_nmpc.ros.startup import start_ros
 _KINDS = {"imu": (Imu, cdr.Imu), "joint_states": (JointState, cdr.Joints),
           "pose": (PoseStamped, cdr.Pose)}
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""As that of the odometry: publishers of either reliability match."""
+"""QoS as that of the odometry: publishers of either reliability match."""
 _PATIENCE = 10.0
 """Longest wait for the next reading of the IMU [s; wall time]."""
 _TURN = 0.05

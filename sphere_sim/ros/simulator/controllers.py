@@ -13,7 +13,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.parameter import parameter_value_to_python
 
-from sphere_nmpc.foreign_text import shown
+from sphere_nmpc.errors import shown
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_sim.world.drives import PLANNED_LIMITS
 

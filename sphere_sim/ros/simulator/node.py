@@ -11,9 +11,8 @@ services    ~/reset, ~/pause, ~/step, ~/push; with an odometry node calls its ~/
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import Executor
@@ -23,12 +22,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.conditions import OK, WARN, Condition, Kind, Severity
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
 from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.reporting.conditions import OK, WARN, Condition, Kind, Report
 from sphere_nmpc.ros.cdr import Pose, fields
 from sphere_nmpc.ros.diagnostics import Diagnostics
 from sphere_nmpc.ros.floor_receiver import FloorReceiver
@@ -48,7 +47,7 @@ from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.factory import make_plant, settings_class
 from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.simulator import Simulator
-from sphere_sim.world.walls import Walls, walls_of
+from sphere_sim.world.walls import walls_of
 
 _REPEAT_EVERY = 0.2
 """Wall time between two repetitions of an instant at which time stands still [s]."""
@@ -56,9 +55,6 @@ _SPIN_EVERY = 2e-3
 """Wall time between two calls of the executor [s]; each takes some 0.2 ms."""
 _SHORTEST_SPIN = 2e-4
 """Time to the next instant above which the executor waits for it, rather than a sleep [s]."""
-_SLOW = 0.95
-"""Share of the wanted real-time factor below which the machine counts as too slow."""
-
 _FLUSH_TIMEOUT = 1.0
 """Longest wait of a pause until subscribers have received all messages [s, wall]."""
 _LARGEST_PRIORITY_FACTOR = 2.0
@@ -96,7 +92,9 @@ class SimulatorNode(GuardedNode):
             for name in sorted({*PLANTS.own, settings.plant})
         }
         self._own = own[settings.plant].for_robot(robot)
-        disturbances = declare(DisturbanceSettings(), on_change=self._tilt).settings
+        disturbances = declare(DisturbanceSettings(), on_change=lambda new: (
+            self.simulator.plant.tilt(new.slope, new.slope_direction)
+        )).settings
         pushes = declare(PushSettings())
         self._scheduling = declare(SchedulingSettings())
         frame = declare(FrameSettings()).settings.world_frame
@@ -105,11 +103,11 @@ class SimulatorNode(GuardedNode):
         ).settings
         self.parameters.warn_of_unknown()
         self._floor_receiver = FloorReceiver(
-            self, occupancy, robot.shell_radius, frame, walls_of, self._surround,
-            self._fault_log, self._event_log, is_planner=False,
+            self, occupancy, robot.shell_radius, frame, walls_of,
+            lambda walls: self.simulator.plant.surround(walls), self._fault_log, self._event_log,
+            is_planner=False,
         )
-        start = as_state(settings.initial_state)
-        walls = self._floor_receiver.floor
+        start, walls = as_state(settings.initial_state), self._floor_receiver.floor
         plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
         self.simulator = Simulator(settings, robot, plant, imu if settings.has_odometry else None)
         self._simulated_clock = SimulatedClock(
@@ -129,10 +127,9 @@ class SimulatorNode(GuardedNode):
             settings.lockstep,
         )
         self._controller_found = self._period_told = False
-        prefix = frame_prefix(self, settings.frame_prefix)
         self._state_publisher = StatePublisher(
-            self, robot.shell_radius, prefix, frame, clocked=not settings.is_on_system_clock,
-            has_odometry=settings.has_odometry, imu=imu,
+            self, robot.shell_radius, frame_prefix(self, settings.frame_prefix), frame,
+            clocked=not settings.is_on_system_clock, has_odometry=settings.has_odometry, imu=imu,
         )
         self._receiver = CommandReceiver(
             self, self.simulator, settings, robot.max_rotor_speed, self._fault_log,
@@ -239,7 +236,7 @@ class SimulatorNode(GuardedNode):
         self._simulated_clock.command_received(stamp, time.monotonic())
 
     def _receive_period(self, message: Float64) -> None:
-        """In lockstep, take over the controller's period: time stops at its instants."""
+        """Take over, in lockstep, the controller's period: time stops at its instants."""
         try:
             period = replace(self._settings, sample_period=message.data).sample_period
         except InvalidParameterError as error:
@@ -278,8 +275,7 @@ class SimulatorNode(GuardedNode):
         self._fault_log.report(
             "lockstep time-out",
             f"given no rotor_trajectory for t = {self.simulator.time:.3f} s, expected one within "
-            f"{timeout:g} s; time continues without it; "
-            f"{self._controllers.why_silent(timeout)}",
+            f"{timeout:g} s; time continues without it; {self._controllers.why_silent(timeout)}",
         )
 
     def _report_touch(self) -> None:
@@ -291,18 +287,12 @@ class SimulatorNode(GuardedNode):
                 f"{self.simulator.time:.3f} s; {counted(touches, 'contact')} so far",
             )
 
-    def _surround(self, walls: Walls | None) -> None:
-        self.simulator.plant.surround(walls)
-
     def _change(self, settings: SimulatorNodeSettings) -> None:
         if settings.real_time_factor != self._settings.real_time_factor:
             now = self.simulator.now
             self._simulated_clock.set_pace(settings.real_time_factor, now, time.monotonic())
         self._settings = settings
         self.simulator.change(settings)
-
-    def _tilt(self, disturbances: DisturbanceSettings) -> None:
-        self.simulator.plant.tilt(disturbances.slope, disturbances.slope_direction)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.simulator.reset()
@@ -344,7 +334,7 @@ class SimulatorNode(GuardedNode):
         response.message = f"running as far as t = {until / NANOSECONDS:.3f} s"
         return response
 
-    def _report_clock(self) -> tuple[Severity, str, Mapping[str, Any]]:
+    def _report_clock(self) -> Report:
         others = self._monitor.further_publishers(clocked=not self._settings.is_on_system_clock)
         self._controllers.update()
         if self._first_pose is not None and self._has_pose:
@@ -371,7 +361,7 @@ class SimulatorNode(GuardedNode):
             return OK, "paused", values
         if clock.awaited is not None and achieved == 0.0:
             return WARN, "waiting for rotor_trajectory", values
-        if not clock.lockstep and achieved < _SLOW * wanted:
+        if clock.is_slow(achieved):
             return WARN, f"slower than set: real-time factor {achieved:.3g} of {wanted:g}", values
         return OK, "running", values
 
@@ -389,18 +379,12 @@ class SimulatorNode(GuardedNode):
                 faults.append(Condition(Kind.LIMITS_OF, line, controller))
         return faults
 
-    def _report_commands(self) -> tuple[Severity, str, Mapping[str, Any]]:
+    def _report_commands(self) -> Report:
         self._event_log.flush()
         counts = dict(self._fault_log.counts)
         return (WARN, "faults so far", counts) if counts else (OK, "no faults", counts)
 
 
-_ABOUT = f"""{__doc__}
-Parameters are given with --ros-args -p NAME:=VALUE or --params-file FILE.yaml;
-msg_docs/parameters.md lists them.
-"""
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see `sphere_nmpc.ros.lifetime.run`."""
-    return run(SimulatorNode, args, _ABOUT)
+    return run(SimulatorNode, args, __doc__ or "")

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
-from sphere_nmpc.fault_log import FaultLog
+from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.cdr import hold_and_stamp, speeds_of_message
 from sphere_nmpc.ros.messages import stamp_to_ros
 from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings

@@ -11,12 +11,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.ros.cdr import (
-    WORLD_FRAME,
-    clock_message,
-    imu_message,
-    joint_states_message,
-)
+from sphere_nmpc.ros.cdr import WORLD_FRAME
+from sphere_nmpc.ros.cdr_messages import clock_message, imu_message, joint_states_message
 from sphere_nmpc.ros.pose_publisher import PosePublisher
 from sphere_sim.world.imu_sensor import ImuReading, SimulatedImuSettings
 from sphere_sim.world.plant.rigid_body.mjcf import IMU

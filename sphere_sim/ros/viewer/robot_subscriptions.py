@@ -91,7 +91,7 @@ class RobotSubscriptions:
         now = self._arrival()
         pose = cdr.read(raw, cdr.Pose)
         try:
-            state = cdr.pose_in_frame(pose.numbers, pose.frame, self._frame)
+            state = pose.in_frame(self._frame)
         except InvalidStateError as error:
             self._live.refused = str(error)
             return
@@ -108,8 +108,7 @@ class RobotSubscriptions:
         self._arrival()
         goal = cdr.read(raw, cdr.Pose)
         with suppress(InvalidStateError):
-            pose = cdr.pose_in_frame(goal.numbers, goal.frame, goal.frame)
-            self._live.add_goal(stamp_text(goal.stamp), pose)
+            self._live.add_goal(stamp_text(goal.stamp), goal.in_frame(goal.frame))
 
     def _take_plan(self, message: Path) -> None:
         self._live.controller_at = self._arrival()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.errors import SphereNmpcError, reason_of
-from sphere_nmpc.foreign_code import called
+from sphere_nmpc.foreign.code import called
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_sim.world.plant.contract import PlantError
 from sphere_sim.world.walls import Contact

@@ -103,7 +103,7 @@ def test_answers_of_acados_come_from_another_python(tmp_path):
     stand_in.write_text(
         f"#!{sys.executable}\n"
         "import sys; sys.path.append(sys.argv[3])\n"
-        "from sphere_nmpc.channel import Channel, encoded\n"
+        "from sphere_nmpc.process.channel import Channel, encoded\n"
         "channel = Channel.inherited(int(sys.argv[-1])); channel.send(encoded(''))\n"
         "for status in (0, 4):\n"
         "    *_, in_force, starts = channel.receive()\n"

@@ -4,8 +4,9 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import Imu, Joints, Pose
 from sphere_sim.cli.main import main
 from sphere_sim.evaluation.metrics import estimate_errors
+from sphere_sim.evaluation.series import Series
 
 pytestmark = pytest.mark.slow
 
@@ -50,17 +52,30 @@ def errors(run: Run, out: Path) -> Vector:
     stamps = np.array(sorted(run.states))
     states = np.array([run.states[stamp] for stamp in stamps.tolist()])
     begin = 1e-9 * run.readings[0].stamp
-    return estimate_errors(table[:, 0] + begin, table[:, 1:7], 1e-9 * stamps, states)[:, 0]
+    estimates = Series(table[:, 0] + begin, table[:, 1:7])
+    return estimate_errors(estimates, Series(1e-9 * stamps, states))[:, 0]
+
+
+@pytest.fixture
+def near(run, parameters, tmp_path, capsys) -> Callable[..., Any]:
+    """Return a function that runs the command, whose poses have to be near the true ones.
+
+    It is given a file of parameters, and returns what is printed.
+    """
+    def near(entries: Iterable[Entry], *words: str, custom: Mapping[str, str] = {}) -> Any:
+        given = "--params-file", str(parameters), *words
+        code, out = estimate(tmp_path, entries, *given, custom=custom)
+        assert code == 0 and np.nanmax(errors(run, out)) < NEAR
+        return capsys.readouterr()
+
+    return near
 
 
 def test_poses_of_a_bag_are_near_the_true_ones_with_table_figure_and_report(
-    run, parameters, tmp_path, capsys
+    run, near, tmp_path
 ) -> None:
-    given = "--params-file", str(parameters)
-    code, out = estimate(tmp_path, sensor_entries(run), *given)
-    printed = capsys.readouterr()
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    header, *rows = out.read_text().splitlines()
+    printed = near(sensor_entries(run))
+    header, *rows = (tmp_path / "poses.csv").read_text().splitlines()
     assert header == "time_s,x,y,qw,qx,qy,qz,position_deviation_m,heading_deviation_rad," \
         "tilt_deviation_rad"
     assert len(rows) > 700 and all((tmp_path / f"poses.{kind}").stat().st_size
@@ -70,32 +85,24 @@ def test_poses_of_a_bag_are_near_the_true_ones_with_table_figure_and_report(
     assert printed.err == "estimate: initial_state is the first pose of /ground_truth/pose\n"
 
 
-def test_fixes_and_given_poses_are_used_when_they_were_received(
-    run, parameters, tmp_path, capsys
-) -> None:
+def test_fixes_and_given_poses_are_used_when_they_were_received(run, parameters, near) -> None:
     parameters.write_text(PARAMETERS + "    initial_state: [5.0, 0.0, 1.0, 0.0, 0.0, 0.0]\n")
     start, later = run.states[0], run.states[4 * 10**9]
     entries = [one for one in sensor_entries(run, truth="/elsewhere") if one[1] is not Pose]
     placed = uncertain_pose("/initialpose", start, -0.2, late=0.0)
     fix = uncertain_pose("/pose_fix", later, 4.0)
-    code, out = estimate(tmp_path, [*entries, placed, fix], "--params-file", str(parameters))
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    printed = capsys.readouterr().out
+    printed = near([*entries, placed, fix]).out
     assert "fixes: 1 used, 0 left out" in printed and "from /pose_fix: " in printed
 
 
-def test_message_that_the_node_refuses_is_left_out_and_named(
-    run, parameters, tmp_path, capsys
-) -> None:
+def test_message_that_the_node_refuses_is_left_out_and_named(run, near) -> None:
     fix = uncertain_pose("/pose_fix", np.ones(6), 2.0, variance=-1.0)
     elsewhere = *fix[:3], fix[3].replace(b"world", b"wurld")
     entries = [*sensor_entries(run), fix, elsewhere]
     large = np.array([1e300, np.nan]).tobytes()
     entries[900] = *entries[900][:3], entries[900][3][:-96] + large + entries[900][3][-80:]
     assert entries[900][1] is Imu
-    code, out = estimate(tmp_path, entries, "--params-file", str(parameters))
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    lines = capsys.readouterr().err.splitlines()
+    lines = near(entries).err.splitlines()
     assert "estimate: /imu: 1 readings that are not finite were ignored" in lines
     told = [line for line in lines if "/pose_fix" in line]
     assert len(told) == 1
@@ -103,32 +110,25 @@ def test_message_that_the_node_refuses_is_left_out_and_named(
 
 
 def test_recorded_parameters_are_used_and_those_of_a_file_come_first(
-    run, tmp_path, capsys, parameters
+    run, parameters, near
 ) -> None:
     recorded = {"imu.position": IMU.position, "imu.orientation": IMU.orientation,
                 "calibration_time": 600.0}
     custom = {"parameters:/odometry": json.dumps(recorded)}
     parameters.write_text("odometry: {ros__parameters: {calibration_time: 2, imu.gyro_nose: 1}}")
-    given = "--params-file", str(parameters)
-    code, out = estimate(tmp_path, sensor_entries(run), *given, custom=custom)
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    assert "my_robot.yaml: unknown parameters, ignored: 'imu.gyro_nose'" in capsys.readouterr().err
+    told = near(sensor_entries(run), custom=custom).err
+    assert "my_robot.yaml: unknown parameters, ignored: 'imu.gyro_nose'" in told
 
 
-def test_longest_run_of_a_bag_is_used_whatever_it_has(run, parameters, tmp_path, capsys) -> None:
+def test_longest_run_of_a_bag_is_used_whatever_it_has(run, near) -> None:
     other = uncertain_pose("/pose_fix", np.ones(6), -4.9)
     later = [(*one[:2], one[2] + 20 * 10**9, one[3]) for one in sensor_entries(run)]
     before = [one for one in sensor_entries(random_run(3, 2.0)) if one[2] < EPOCH]
-    code, out = estimate(
-        tmp_path, [*before, other, *later], "--params-file", str(parameters)
-    )
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    assert "/imu: time goes back, so the bag holds several runs" in capsys.readouterr().err
+    told = near([*before, other, *later]).err
+    assert "/imu: time goes back, so the bag holds several runs" in told
 
 
-def test_stamps_of_another_clock_are_replaced_by_log_times(
-    run, parameters, tmp_path, capsys
-) -> None:
+def test_stamps_of_another_clock_are_replaced_by_log_times(run, near) -> None:
     entries = list(sensor_entries(run))
     late = 10**12
 
@@ -140,35 +140,25 @@ def test_stamps_of_another_clock_are_replaced_by_log_times(
         return topic, record, log, message[:4] + stamp + message[12:] if is_wrong else message
 
     shifted_entries = [shifted(entry, i // 3) for i, entry in enumerate(entries)]
-    given = "--params-file", str(parameters)
-    code, out = estimate(tmp_path, shifted_entries, *given)
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    told = capsys.readouterr().err
+    told = near(shifted_entries).err
     assert "/joint_states: " in told and "the log times are used" in told
 
 
-def test_log_times_of_another_clock_and_pace_make_no_difference(
-    run, parameters, tmp_path, capsys
-) -> None:
+def test_log_times_of_another_clock_and_pace_make_no_difference(run, near) -> None:
     fix = uncertain_pose("/pose_fix", run.states[3 * 10**9], 3.0)
     # Logged by the system clock, of a simulation that is 2.5 times as fast.
     entries = [(*one[:2], 1_800_000_000 * 10**9 + one[2] * 2 // 5, one[3])
                for one in (*sensor_entries(run), fix)]
-    code, out = estimate(tmp_path, entries, "--params-file", str(parameters))
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    printed = capsys.readouterr()
+    printed = near(entries)
     assert "fixes: 1 used" in printed.out and "stamps" not in printed.err
 
 
-def test_topics_are_those_of_the_robot_of_the_imu(run, parameters, tmp_path, capsys) -> None:
+def test_topics_are_those_of_the_robot_of_the_imu(run, parameters, near) -> None:
     entries = [(f"/{robot}{one[0]}", *one[1:]) for robot, motion in
                (("a", random_run(4, 5.0)), ("b", run), ("c", random_run(5, 5.0)))
                for one in sensor_entries(motion)]
     parameters.write_text(PARAMETERS.replace("/**", "/b/odometry"))
-    given = "--params-file", str(parameters), "--imu", "b/imu"
-    code, out = estimate(tmp_path, entries, *given)
-    assert code == 0 and np.nanmax(errors(run, out)) < NEAR
-    assert "from /b/ground_truth/pose: " in capsys.readouterr().out
+    assert "from /b/ground_truth/pose: " in near(entries, "--imu", "b/imu").out
 
 
 MOVING = [one for one in sensor_entries(random_run(3, 2.0)) if one[2] > EPOCH + 500_000_000]

@@ -11,7 +11,7 @@ from identify import Drawn
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros import cdr
+from sphere_nmpc.ros import cdr, cdr_messages
 from sphere_sim.cli.main import main
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX
 from sphere_sim.recording.bag_writer import BagWriter
@@ -31,10 +31,11 @@ def bag_of(
 ) -> Path:
     """Write what was recorded of a robot, in the form in which nodes publish it."""
     recorded, none = drawn.recorded, np.zeros(2)
+    turned = recorded.rotor_speeds
     commands, readings = recorded.commands, recorded.readings
     assert commands is not None and readings is not None
 
-    steps, mean = np.diff(recorded.joint_times), recorded.speeds[1:] + recorded.speeds[:-1]
+    steps, mean = np.diff(turned.times), turned.values[1:] + turned.values[:-1]
     angles = np.vstack((none, np.cumsum(0.5 * steps[:, None] * mean, axis=0)))
     angles = np.mod(angles + np.pi, 2.0 * np.pi) - np.pi
 
@@ -42,18 +43,18 @@ def bag_of(
         return START + round(time * NANOSECONDS)
 
     entries = [
-        (stamp(t), "/pose", cdr.pose_message(pose, stamp(t), drawn.robot.shell_radius))
-        for t, pose in zip(recorded.times, recorded.poses, strict=True)
+        (stamp(t), "/pose", cdr_messages.pose_message(pose, stamp(t), drawn.robot.shell_radius))
+        for t, pose in zip(recorded.times, recorded.states, strict=True)
     ] + [
-        (stamp(t), "/joint_states", cdr.joint_states_message(
+        (stamp(t), "/joint_states", cdr_messages.joint_states_message(
             angle, speeds if velocities else none * np.nan, none, stamp(t)
         ))
-        for t, speeds, angle in zip(recorded.joint_times, recorded.speeds, angles, strict=True)
+        for t, speeds, angle in zip(turned.times, turned.values, angles, strict=True)
     ] + [
-        (stamp(t), "/imu", cdr.imu_message(rate, force, none, stamp(t), "imu"))
+        (stamp(t), "/imu", cdr_messages.imu_message(rate, force, none, stamp(t), "imu"))
         for t, rate, force in zip(readings.times, readings.rates, readings.forces, strict=True)
     ] + [
-        (stamp(t), "/rotor_commands", cdr.speeds_message(speeds))
+        (stamp(t), "/rotor_commands", cdr_messages.speeds_message(speeds))
         for t, speeds in zip(commands.times[::2], commands.speeds[::2], strict=True)
     ]
     writer = BagWriter(folder)

@@ -7,7 +7,7 @@ import pytest
 
 from sphere_nmpc.control.active_course import ActiveCourse, CourseInForce
 from sphere_nmpc.model.course import Course
-from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.state import Vector, upright_state
 
@@ -104,16 +104,6 @@ def test_goal_that_is_no_longer_given_stands_and_is_still_the_same() -> None:
     assert stands is course.active and not stands.goal.rate.any()
     assert stands.course.origin is origin
     assert course.at(6.0) is stands, "by identity, so that the plan stands"
-
-
-def test_goal_far_from_the_one_before_or_that_demands_less_is_another_one() -> None:
-    course = CourseInForce()
-    for time, goal in (
-        (0.0, Goal(POSES[0])), (0.1, Goal(POSES[1])), (0.2, Goal(POSES[1], Orientation.ANY))
-    ):
-        before = course.active
-        assert course.take(ActiveCourse(Course.of(goal)), time, False)
-        assert before is None or course.active.course.origin is not before.course.origin
 
 
 def test_goals_that_are_given_up_are_none_and_are_followed_anew_when_given_again(course) -> None:

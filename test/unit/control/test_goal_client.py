@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_client import GoalClient, NavigatorSettings, Outcome
 from sphere_nmpc.control.goal_report import GoalReport
 from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.reporting.conditions import Kind
 
 SETTINGS = NavigatorSettings(controller_timeout=5.0, no_progress_timeout=20.0)
 STEP = 0.1  # s

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from sphere_nmpc import own_folder
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.goal_memory import goal_memory
 from sphere_nmpc.control.goal_report import GoalReport, Patience
 from sphere_nmpc.errors import InvalidInputError
+from sphere_nmpc.foreign import own_folder
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.state import as_state
+from sphere_nmpc.reporting.conditions import Kind
 
 POSES = [as_state([1.0, -2.0, 0.0, 0.6, 0.8, 0.0]), as_state([0.1, 0.2, 1.0, 0.0, 0.0, 0.0])]
 GOALS = ActiveCourse(Course.of(Goal(POSES[0]), Goal(POSES[1], Orientation.ANY_HEADING)), 42, 1)

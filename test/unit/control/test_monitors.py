@@ -10,7 +10,6 @@ from delayed_worker import DelayedWorker
 from given_plans import Standing
 from robots import PALM
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.monitors import ArrivalDetector, Progress, rotor_reserve
@@ -18,6 +17,7 @@ from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, make_state, state_error, without_momentum
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
@@ -157,7 +157,7 @@ def missing(poses: list[Vector], **settings: float) -> list[Condition | None]:
     chosen = ControllerSettings(strategy="paper", **settings)  # type: ignore[arg-type]
     plan = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, AT_REST), START[None, :])
     for k, pose in enumerate(poses):
-        decision = Decision(Kind.TRACKING.alone, plan, without_momentum(pose), GOAL, 0.0)
+        decision = Decision(Kind.TRACKING.conditions, plan, without_momentum(pose), GOAL, 0.0)
         found.append(progress.update(0.5 * k, pose, GOAL, lambda _: AT_REST, decision, chosen))
     return found
 

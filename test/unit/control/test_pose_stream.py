@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from sphere_nmpc.conditions import Kind
-from sphere_nmpc.control.pose_stream import PoseGate, StampWatch
+from sphere_nmpc.control.pose_stream import PoseGate
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.reporting.conditions import Kind
+from sphere_nmpc.reporting.stamps import StampWatch
 from sphere_nmpc.settings import ControllerSettings
 
 ROBOT = RobotParameters()

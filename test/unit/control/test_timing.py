@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sphere_nmpc.control.recent import Recent
 from sphere_nmpc.control.timing import ClockWatch, MissedSamples
+from sphere_nmpc.reporting.recent import Recent
 
 SPACING = 0.01
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.estimation.motion import Interval
-from sphere_nmpc.estimation.sent_inputs import SentInputs
+from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 
@@ -25,16 +25,11 @@ def at(times: Vector, durations: Vector, speeds: Vector, start: float = 0.0) -> 
 
 
 def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces_later_ones():
-    sent = SentInputs()
-    sent.confirm()
+    sent = RotorHistory()
     sent.record(ramp(1.0, [0, 0], [10, 20], 1.0))
     sent.record(ramp(1.5, [5, 10], [0, 0], 0.5))
     np.testing.assert_allclose([sent.at(t)[0] for t in (0.5, 1.25, 1.75, 9.0)], [0, 2.5, 2.5, 0])
     sent.record(FirstOrderHold.constant(1.2, np.array([1.0, 1.0])))
-    np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
-    late = ramp(2.0, [1, 1], [3, 3], 0.5)
-    sent.record(late)
-    sent.withdraw(late)
     np.testing.assert_array_equal(sent.at(3.0), [1.0, 1.0])
     sent.record(ramp(4.0, [1, 1], [0, 0], 1.0))
     assert sent.moves_after(4.9) and not sent.moves_after(5.0)
@@ -43,20 +38,22 @@ def test_each_hold_lasts_until_the_next_takes_effect_and_an_earlier_one_replaces
 
 
 def test_corrections_are_believed_once_speeds_followed_a_command_or_poses_show_them() -> None:
-    sent, limit = SentInputs(), 25.0
-    hold = FirstOrderHold.constant(1.0, np.array([3.0, 3.0]))
-    sent.record(hold)
-    sent.withdraw(hold)
+    sent, limit = RotorHistory(), 25.0
+
+    def measure(time: float, commanded: float, measured: float) -> None:
+        sent.record(FirstOrderHold.constant(time, np.full(2, commanded)))
+        sent.observe(time + 0.1, np.full(2, measured))
 
     def belief() -> tuple[float, bool]:
-        return float(sent.at(2.0)[0]), sent.contradicted
+        return float(sent.at(1.15)[0]), sent.contradicted
 
+    measure(1.0, 3.0, 0.0)
     assert belief() == (3.0, False), "not yet"
-    sent.confirm()
+    measure(1.2, 5.0, 5.0)
     assert belief() == (0.0, False)
     sent.judge(1.0, 1e6, limit)
     assert belief() == (3.0, True)
-    sent.confirm()
+    measure(1.4, 7.0, 7.0)
     assert belief() == (3.0, True), "poses count for more"
     sent.judge(100.0, 1.0, limit)
     assert belief() == (3.0, True), "less likely, but not excluded"
@@ -70,7 +67,7 @@ def test_corrections_are_believed_once_speeds_followed_a_command_or_poses_show_t
 
 
 def test_contradiction_ends_after_motions_for_which_both_are_the_same() -> None:
-    sent = SentInputs()
+    sent = RotorHistory()
     sent.judge(0.0, 1e6, 25.0)
     for _ in range(17):
         sent.judge(0.0, 0.0, 25.0)
@@ -81,7 +78,7 @@ def test_contradiction_ends_after_motions_for_which_both_are_the_same() -> None:
 
 
 def test_pieces_are_the_speeds_in_force() -> None:
-    rng, sent, now = np.random.default_rng(5), SentInputs(), 0.0
+    rng, sent, now = np.random.default_rng(5), RotorHistory(), 0.0
     for _ in range(40):
         now += float(rng.choice([0.002, 0.01, 0.25]))
         # Some holds have knots before the next one begins.

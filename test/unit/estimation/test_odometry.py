@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from inertial_runs import IMU, ROBOT, SECOND, error_of, followed, random_run
 from scipy.stats import chi2
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
@@ -24,6 +24,7 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     GYRO_MATRIX,
     MOMENTUM,
     OFFSET,
+    PHI,
     POSE_ERROR,
     RADIUS,
     SIZE,
@@ -33,13 +34,18 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
 )
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.rotation import random_quaternion, vertical
 from sphere_nmpc.model.state import make_state, upright_state
-from test.support.inertial_runs import IMU, ROBOT, SECOND, error_of, followed, random_run
+from sphere_nmpc.reporting.conditions import Kind
 
 NUMBERS = OdometryNumbers()
 momentum = slice(MOMENTUM.start - FIRST, MOMENTUM.stop - FIRST)
+STARTS = [0, *(part.start for part in (
+    PHI, GYRO_BIAS, FORCE_BIAS, GYRO_MATRIX, FORCE_MATRIX, BY_FORCE, ARM, MOMENTUM, CONSTANTS
+)), RADIUS, OFFSET]
+"""Where the parts of the error begin."""
 
 
 class Recorded(InertialFilter):
@@ -106,14 +112,18 @@ def test_derivatives_are_those_of_differences(still) -> None:
         turned = np.eye(3, SIZE, 2) - ends[2:5]
         rest[MOMENTUM] += np.cross(turned, numbers[momentum], axisa=0).T
         expected = by[:, POSE_ERROR] @ ends + by @ rest
-        if by is measured[0][0]:
+        if by_force := by is measured[0][0]:
             row[:, RADIUS] = 0.0  # in the force, which scales of sensors change alike
-        # Left out are second orders: errors of the sensors (1e-2) in each other's derivatives, and
-        # that those of the gyro turn the interval within itself, by half its length times the
-        # velocity, 1 m/s: what is multiplied by a rate of 3 rad/s or a force of 10 m/s^2, by that.
-        tolerance = 0.06 + 0.04 * np.abs(by).max(axis=0)
-        tolerance[GYRO_MATRIX] *= 3.0
-        tolerance[BY_FORCE] *= 10.0
+        # Left out are second orders. Errors of the sensors, of 1e-2, change what is felt; those of
+        # the gyro turn the interval within itself, by half its length times 1 rad/s; and errors of
+        # the accelerometer are some of the gyro by the sensitivity to force, of 1e-3.
+        largest = np.maximum.reduceat(np.abs(by).max(axis=0), STARTS)
+        tolerance = 1e-8 + (1e-3 if by_force else 0.04) * np.repeat(
+            largest, np.diff([*STARTS, SIZE])
+        )
+        if not by_force:
+            tolerance[FORCE_BIAS] += 3e-3
+            tolerance[FORCE_MATRIX] += 3e-3 * GRAVITY
         assert np.all(np.abs(row - expected) < tolerance)
 
 

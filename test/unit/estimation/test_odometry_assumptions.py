@@ -10,9 +10,9 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from inertial_runs import ROBOT, SECOND, error_of, followed, random_run
 from scipy.stats import chi2
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.inertial_state import (
@@ -30,7 +30,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.dynamics import world_rate
 from sphere_nmpc.model.state import upright_state
-from test.support.inertial_runs import ROBOT, SECOND, error_of, followed, random_run
+from sphere_nmpc.reporting.conditions import Kind
 
 DEFAULT = ImuSettings()
 

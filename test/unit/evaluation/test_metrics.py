@@ -22,6 +22,7 @@ from sphere_sim.evaluation.metrics import (
     stay_below,
     touches,
 )
+from sphere_sim.evaluation.series import RobotSeries, Series
 
 GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -45,7 +46,8 @@ def test_heading_error_is_about_the_vertical_of_the_world_whatever_the_tilt() ->
         turn = rng.normal(size=3) * 0.5
         turned = rotation.product(rotation.exponential(turn), q)
         estimate = np.array([0.13, 0.04, *turned * rng.choice((-1.0, 1.0))])
-        errors = estimate_errors(np.array([2.0, 4.0]), np.array(2 * [estimate]), times, states)
+        given = Series(np.array([2.0, 4.0]), np.array(2 * [estimate]))
+        errors = estimate_errors(given, Series(times, states))
         np.testing.assert_allclose(errors[0], (0.05, turn[2]), rtol=1e-9)
         assert np.all(np.isnan(errors[1])), "there is no true pose of that time"
 
@@ -73,14 +75,16 @@ def test_measure_of_a_straight_run() -> None:
     states = np.tile(GOAL, (101, 1))
     states[:, 0] = np.maximum(0.0, 5.0 - times)
     states[:, 2] = -1.0  # the other quaternion of the same orientation
-    speeds, joint_times = np.array([[1.0, -90.0], [-1.0, 30.0], [np.nan, 3.0]]), np.arange(3.0)
+    poses, known = Series(times, states), np.array([True, True, False])
+    speeds = Series(np.arange(3.0), np.array([[1.0, -90.0], [-1.0, 30.0], [np.nan, 3.0]]))
     goal, solves = Goal(GOAL), np.array([0.001, 0.0, 0.003, np.nan, 0.0, 0.0])
-    torques = np.array([[0.1, 0.3], [0.1, 0.6]])
-    metrics = measure(times, states, goal, joint_times[:2], speeds[:2], torques, solves)
+    first = speeds.where(known)
+    torques = Series(first.times, np.array([[0.1, 0.3], [0.1, 0.6]]))
+    metrics = measure(RobotSeries(poses, first, torques), goal, solves)
     assert metrics.heat == pytest.approx(0.01 + 0.21)  # the second torque rises in a second
     assert metrics.energy_j == pytest.approx(0.1 + 0.5 * (27.0 + 18.0))
-    unknown = np.full((3, 2), np.nan)
-    metrics = measure(times, states, goal, joint_times, speeds, unknown, solves)
+    unknown = Series(speeds.times, np.full((3, 2), np.nan))
+    metrics = measure(RobotSeries(poses, speeds, unknown), goal, solves)
     assert metrics.settled and metrics.settle_time_s == pytest.approx(5.0)
     assert metrics.final_error == 0.0
     assert metrics.max_rotor_speed == 90.0

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sphere_nmpc.channel import Channel, encoded
 from sphere_nmpc.floor.floor import Floor, exact_distance
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.floor.route import find_routes, in_sight, plain_routes, route_to
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.process.channel import Channel, encoded
 from sphere_nmpc.strategy.clearance import Margin, Profile, needed_distance, refusal
 from sphere_nmpc.strategy.contract import Situation
 

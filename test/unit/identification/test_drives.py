@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.drives import Commands, identified_drives
 from sphere_sim.world.drives import CommandFollower
 
@@ -13,14 +14,20 @@ SPEED, ACCELERATION, LAG = 96.0, 370.0, 0.013
 TIMES = np.arange(0.0, 20.0, 0.01)
 
 
-def followed(wanted: np.ndarray, noise: float = 0.05) -> np.ndarray:
+def followed(wanted: np.ndarray, noise: float = 0.05) -> Series:
     """Return measured speeds at `TIMES` of drives that get commands there, without a lag."""
     follower, speeds, found = CommandFollower(SPEED, ACCELERATION, 0.5), np.zeros(2), []
     for time, command in zip(TIMES, wanted, strict=True):
         found.append(speeds)
         follower.follow_speeds(command, float(time))
         speeds = follower.speeds_after(speeds, float(time), 0.01)
-    return np.array(found) + noise * np.random.default_rng(1).normal(size=(TIMES.size, 2))
+    measured = np.array(found) + noise * np.random.default_rng(1).normal(size=(TIMES.size, 2))
+    return Series(TIMES, measured)
+
+
+def sent(wanted: np.ndarray, late: float = -LAG) -> Commands:
+    """Return commands of speeds at `TIMES`, later by a time [s]."""
+    return Commands.of_speeds(Series(TIMES + late, wanted))
 
 
 def steps(largest: float) -> np.ndarray:
@@ -30,7 +37,7 @@ def steps(largest: float) -> np.ndarray:
 
 def test_lag_and_both_limits_are_found_where_commands_exceed_them() -> None:
     wanted = steps(120.0)
-    found = identified_drives(Commands.of_speeds(TIMES - LAG, wanted), TIMES, followed(wanted))
+    found = identified_drives(sent(wanted), followed(wanted))
     assert found is not None and found.acceleration is not None and found.speed is not None
     assert found.lag[0] == pytest.approx(LAG, abs=1e-4)
     assert found.acceleration[0] == pytest.approx(ACCELERATION, rel=1e-3)
@@ -40,7 +47,7 @@ def test_lag_and_both_limits_are_found_where_commands_exceed_them() -> None:
 
 def test_limit_that_is_not_reached_is_not_told() -> None:
     wanted = steps(80.0)
-    found = identified_drives(Commands.of_speeds(TIMES - LAG, wanted), TIMES, followed(wanted))
+    found = identified_drives(sent(wanted), followed(wanted))
     assert found is not None and found.acceleration is not None
     assert found.speed is None and found.attained[1] <= 80.0
     hold = FirstOrderHold(np.array([0.0, 5.0, 10.0, 19.0]), 50.0 * np.array(
@@ -48,7 +55,7 @@ def test_limit_that_is_not_reached_is_not_told() -> None:
     ))
     wanted = np.array([hold.at(time + 0.01) for time in TIMES])
     commands = Commands.of_holds([hold.delayed(-LAG)])
-    found = identified_drives(commands, TIMES, followed(wanted))
+    found = identified_drives(commands, followed(wanted))
     assert found is not None and found.acceleration is None and found.speed is None
     assert found.lag[0] == pytest.approx(LAG, abs=1e-3)
 
@@ -56,7 +63,7 @@ def test_limit_that_is_not_reached_is_not_told() -> None:
 def test_limit_that_small_steps_alone_would_show_is_not_told() -> None:
     wanted = 5.0 * np.sin(TIMES)[:, None] * np.ones(2)
     wanted[::200] += 0.02  # as where a plan replaces another one
-    found = identified_drives(Commands.of_speeds(TIMES - LAG, wanted), TIMES, followed(wanted))
+    found = identified_drives(sent(wanted), followed(wanted))
     assert found is not None and found.acceleration is None
 
 
@@ -71,6 +78,5 @@ def test_trajectory_counts_until_the_next_one_starts() -> None:
 
 def test_without_motion_or_commands_beside_speeds_nothing_is_found() -> None:
     still = np.zeros((TIMES.size, 2))
-    assert identified_drives(Commands.of_speeds(TIMES, still), TIMES, still) is None
-    late = Commands.of_speeds(TIMES + 100.0, steps(80.0))
-    assert identified_drives(late, TIMES, followed(steps(80.0))) is None
+    assert identified_drives(sent(still), Series(TIMES, still)) is None
+    assert identified_drives(sent(steps(80.0), 100.0), followed(steps(80.0))) is None

@@ -13,11 +13,13 @@ from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.error_state import apply_error
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_sim.evaluation.series import Series
 from sphere_sim.identification.identify import Given, Identified, identified
-from sphere_sim.identification.rolling import BatchFit, Rolling
+from sphere_sim.identification.rolling import BatchFit
 
 SHORT = 20.0
 """Length of the recordings [s]: a third of the motion, with errors up to twice as large."""
+SHORT_TIMES = np.linspace(0.0, SHORT, 2001)
 
 
 def drawn(seed: int, **options: object) -> Drawn:
@@ -101,12 +103,15 @@ def test_imu_and_encoders_alone_show_constants_radius_and_place() -> None:
 
 
 def test_outliers_are_left_out_and_slip_stays_in_its_piece(first) -> None:
-    poses = first.recorded.poses.copy()
+    given = first.recorded.poses
+    poses = given.values.copy()
     rng = np.random.default_rng(3)
     for k in rng.choice(len(poses), 60, replace=False):
         poses[k] = apply_error(poses[k], np.append(rng.normal(size=2), rng.normal(size=3)))
     poses[1000:, :2] += 0.3  # as by a slip after ten seconds
-    found = identified(replace(first.recorded, poses=poses), Given(first.given))
+    found = identified(
+        replace(first.recorded, poses=replace(given, values=poses)), Given(first.given)
+    )
     result = errors(first, found)
     for name in ("robot.shell_radius", "c1", "r1", "r3"):
         assert result[name][0] < 2.0 * WITHIN[name], name
@@ -116,18 +121,19 @@ def test_outliers_are_left_out_and_slip_stays_in_its_piece(first) -> None:
 def test_what_a_motion_about_one_axis_does_not_show_keeps_its_value() -> None:
     one = drawn(4)
     recorded = one.recorded
-    plain = Rolling(recorded.times, recorded.poses, recorded.joint_times, recorded.speeds)
+    times = recorded.rotor_speeds.times
     # Upright, rotor 1 alone: z and the vertical stay perpendicular to the axis of rotation.
-    speeds = np.column_stack((80.0 * np.sin(plain.joint_times), np.zeros_like(plain.joint_times)))
+    speeds = np.column_stack((80.0 * np.sin(times), np.zeros_like(times)))
     start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    states = roll_out(start, speeds, np.diff(plain.joint_times), one.robot.lumped.as_array())
+    states = roll_out(start, speeds, np.diff(times), one.robot.lumped.as_array())
     rng = np.random.default_rng(5)
     poses = np.array([
         apply_error(state[:6], rng.normal(size=5) * np.repeat((2e-3, 5e-3), (2, 3)))
         for state in states
     ])
     found = identified(
-        replace(recorded, times=plain.joint_times, poses=poses, speeds=speeds), Given(one.given)
+        replace(recorded, poses=Series(times, poses), rotor_speeds=Series(times, speeds)),
+        Given(one.given),
     )
     for name in ("r1", "r3"):
         assert row(found, name).deviation == ()
@@ -139,10 +145,7 @@ def test_what_a_motion_about_one_axis_does_not_show_keeps_its_value() -> None:
 
 
 def test_half_of_the_bag_checks_the_other_half(first) -> None:
-    recorded = first.recorded
-    fit = BatchFit(
-        Rolling(recorded.times, recorded.poses, recorded.joint_times, recorded.speeds), first.given
-    )
+    fit = BatchFit(first.recorded, first.given)
     whole = list(range(len(fit.pieces)))
     half = fit.fitted(whole[::2])
     assert np.all(fit.left(whole[1::2], half) < (2.2e-3, 6.6e-3))
@@ -150,10 +153,12 @@ def test_half_of_the_bag_checks_the_other_half(first) -> None:
 
 
 @pytest.mark.parametrize(("changes", "told"), [
-    ({"speeds": np.zeros((2001, 2))}, "motion: given rotor speeds up to 0 rad/s, expected some"),
-    ({"joint_times": np.empty(0), "speeds": np.empty((0, 2))}, "rotor speeds: given none, expect"),
+    ({"rotor_speeds": Series(SHORT_TIMES, np.zeros((2001, 2)))},
+     "motion: given rotor speeds up to 0 rad/s, expected some"),
+    ({"rotor_speeds": Series(values=np.empty((0, 2)))}, "rotor speeds: given none, expect"),
     ({"are_outside": False}, "poses: given none from outside, and no readings of an IMU, expec"),
-    ({"times": np.linspace(0.0, 1.0, 2001)}, "recording: given 1 pieces of 2 s, expected 4 or mo"),
+    ({"poses": Series(SHORT_TIMES / SHORT, np.zeros((2001, 6)))},
+     "recording: given 1 pieces of 2 s, expected 4 or mo"),
 ])
 def test_recording_without_what_is_needed_is_refused_in_a_line(first, changes, told) -> None:
     with pytest.raises(InvalidInputError, match=told):

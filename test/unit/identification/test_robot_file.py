@@ -9,15 +9,11 @@ import pytest
 import yaml
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.foreign_file import InvalidFileError
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_sim.identification.robot_file import (
     CHANGED,
     Entry,
     deviations_of,
-    parameters_of,
-    taken,
     with_constants,
     written,
 )
@@ -65,21 +61,3 @@ def test_file_is_yaml_with_numbers_that_are_real() -> None:
         "/**": {"ros__parameters": {"robot": {"shell_mass": 1.0, "shell_inertia": 1e-9}}},
         "/**/odometry": {"ros__parameters": {"imu": {"position": [1.0, 2e-7, -3.5]}}},
     }
-
-
-def test_given_parameters_are_read_from_a_file_of_all_nodes() -> None:
-    values = parameters_of(CONFIG)
-    assert taken(RobotParameters(), "robot.", values | {"robot.shell_mass": 2}).shell_mass == 2.0
-    assert taken(ImuSettings(), "imu.", values) == ImuSettings()
-    with pytest.raises(InvalidParameterError, match=r"robot\.shell_mass: given -1\.0"):
-        taken(RobotParameters(), "robot.", {"robot.shell_mass": -1.0})
-
-
-@pytest.mark.parametrize("text", ["[]", "a: 1", "/**: 3", "{", "- 1\n- 2", "/**: {a: 1}", ""])
-def test_file_that_has_no_parameters_is_refused_in_a_line(tmp_path, text) -> None:
-    file = tmp_path / "robot.yaml"
-    file.write_text(text)
-    with pytest.raises(InvalidFileError, match="expected parameters of nodes as config/sphere"):
-        parameters_of(file)
-    with pytest.raises(InvalidFileError, match="no such file"):
-        parameters_of(tmp_path / "none.yaml")

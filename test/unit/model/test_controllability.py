@@ -13,7 +13,6 @@ from sphere_nmpc.model.controllability import (
     distance_to_circle,
     third_order_brackets,
 )
-from sphere_nmpc.model.dynamics import state_rate
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector, as_state
 
@@ -71,24 +70,3 @@ def test_brackets_agree_with_those_that_casadi_differentiates() -> None:
             atol=1e-11,
         )
         np.testing.assert_allclose(displacement[2], 0.0, atol=1e-12)
-
-
-def test_first_bracket_agrees_with_a_finite_difference_of_the_fields() -> None:
-    p = LUMPED.as_array()
-    rng = np.random.default_rng(3)
-    for _ in range(10):
-        state = state_at(*rng.uniform(-1.5, 1.5, 3))
-
-        def field(x: Vector, u: list[float]) -> Vector:
-            return np.array(state_rate(x, np.array(u), p)).ravel() / p[1]
-
-        g1, g2 = field(state, [1.0, 0.0]), field(state, [0.0, 1.0])
-        h = 1e-5
-        slope2 = field(state + h * g1, [0.0, 1.0]) - field(state - h * g1, [0.0, 1.0])
-        slope1 = field(state + h * g2, [1.0, 0.0]) - field(state - h * g2, [1.0, 0.0])
-        bracket = (slope2 - slope1) / (2.0 * h)
-        w, v = state[2], state[3:6]
-        rotation = 2.0 * (w * bracket[3:6] - v * bracket[2] - np.cross(v, bracket[3:6]))
-        expected = np.concatenate((bracket[:2] / p[0], rotation))
-        # Central differences: h^2 times a third derivative of order 10, and rounding / h.
-        np.testing.assert_allclose(bracket_matrix(state, LUMPED)[:, 2], expected, atol=1e-8)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motions import largest_distance, moved
+from motions import largest_distance, largest_slope, moved
+from situations import situation
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSE, Vector, without_momentum
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.time_optimal.background import solver_for
+from sphere_nmpc.model.state import POSE, Vector
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.search_task import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.scenario.scenarios import draw_scenarios
 
@@ -35,11 +35,6 @@ def holds(draw: st.DrawFn) -> FirstOrderHold:
     start = draw(st.sampled_from([0.0, -3.5, 1e4, EPOCH]))
     speeds = [draw(speed_pairs) for _ in gaps]
     return FirstOrderHold(start + np.cumsum(gaps), np.array(speeds))
-
-
-def largest_slope(hold: FirstOrderHold) -> float:
-    slopes = np.diff(hold.speeds, axis=0) / np.diff(hold.times)[:, None]
-    return float(np.max(np.abs(slopes), initial=0.0))
 
 
 @given(hold=holds(), place=st.floats(-0.5, 1.5))
@@ -119,11 +114,10 @@ def plans() -> list[tuple[Vector, FirstOrderHold]]:
     robot, found = RobotParameters(), []
     solver = solver_for(robot, TimeOptimalSettings())
     for scenario in draw_scenarios(8, 77, "anywhere"):
-        start = without_momentum(scenario.start)
-        situation = Situation.of(0.0, start, scenario.goal, np.zeros(2), robot.lumped)
-        arrival = ArrivalSearch(solver, situation, 1).improve(50_000)
+        now = situation(scenario.goal, pose=scenario.start)
+        arrival = ArrivalSearch(solver, now, 1).improve(50_000)
         assert arrival is not None
-        found.append((start, arrival.hold))
+        found.append((now.state, arrival.hold))
     return found
 
 

@@ -5,11 +5,14 @@
 import json
 
 import pytest
+from document_commands import ROOT
 
 from sphere_nmpc.errors import InvalidParameterError
+from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
-from sphere_nmpc.foreign_file import InvalidFileError
+from sphere_nmpc.foreign.file import InvalidFileError
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.recording.node_parameters import (
     bag_parameters,
     file_parameters,
@@ -40,6 +43,12 @@ def test_section_is_for_the_nodes_that_ros_has_it_for(section, node, is_for, tmp
             file_parameters(file, node)
 
 
+def test_config_of_the_package_has_the_parameters_of_all_nodes() -> None:
+    found = file_parameters(ROOT / "config" / "sphere.yaml", "/controller", "/odometry")
+    assert with_parameters(ImuSettings(), found, "imu.") == ImuSettings()
+    assert with_parameters(ControllerSettings(), found) == ControllerSettings()
+
+
 def test_names_in_names_and_namespaces_are_joined_and_later_sections_count(tmp_path) -> None:
     file = tmp_path / "a.yaml"
     file.write_text(
@@ -52,7 +61,10 @@ def test_names_in_names_and_namespaces_are_joined_and_later_sections_count(tmp_p
     assert given.initial_state == (1.0, 2.0, 1.0, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("text", ["", "a", "- 1", "{[", "a: *b", "a: b", "[" * 90])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "a", "a: 1", "- 1\n- 2", "/**: 3", "/**: {a: 1}", "{", "{[", "a: *b",
+             "a: b", "[" * 90],
+)
 def test_file_without_parameters_is_refused_in_one_line(text, tmp_path) -> None:
     file = tmp_path / "a.yaml"
     file.write_text(text)

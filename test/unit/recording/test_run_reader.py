@@ -50,17 +50,17 @@ def test_run_is_read_as_arrays(whole) -> None:
     np.testing.assert_allclose(run.times, np.arange(301) * 0.01, atol=1e-9)
     np.testing.assert_allclose(run.states[0], [2, -1, np.cos(0.5), 0, 0, np.sin(0.5)])
     assert np.max(np.abs(np.diff(run.states, axis=0))) < 0.1, "no jump to the other sign"
-    np.testing.assert_allclose(run.rotor_speeds[0], [100.0, -50.0])
-    np.testing.assert_allclose(run.rotor_torques[0], [1.0, -0.5])
+    np.testing.assert_allclose(run.rotor_speeds.values[0], [100.0, -50.0])
+    np.testing.assert_allclose(run.rotor_torques.values[0], [1.0, -0.5])
     np.testing.assert_allclose(run.goal, [0, 0, 1, 0, 0, 0])
-    assert run.goal_times.tolist() == [0.0]
+    assert run.goals.times.tolist() == [0.0]
     assert len(run.plans) == 7
-    np.testing.assert_allclose(run.plans[1].times, [0.5, 1.0])
-    np.testing.assert_allclose(run.plans[1].speeds, [[1, 2], [3, 4]])
+    np.testing.assert_allclose(run.plans.values[1].times, [0.5, 1.0])
+    np.testing.assert_allclose(run.plans.values[1].speeds, [[1, 2], [3, 4]])
     np.testing.assert_allclose(run.solves.times, STARTS, atol=1e-9)
-    np.testing.assert_allclose(run.solves.durations[:2], [1e-3, 51e-3])
-    assert set(run.solves.statuses) == {"solved"}
-    assert run.momentum.is_zero
+    np.testing.assert_allclose(run.solves.column("duration")[:2], [1e-3, 51e-3])
+    assert {solve.plan for solve in run.solves.values} == {"solved"}
+    assert not run.has_momentum
     # |x - x_d| = decay * |(2, -1, 1/2)| for small angles.
     expected = 3.01 * np.log(100.0 * np.sqrt(5.25)) / 10.0
     assert figures(run)["settle_time_s"] == pytest.approx(expected, abs=0.02)
@@ -101,29 +101,30 @@ def test_bags_of_other_recorders_give_the_same_run(
     run = read_run(bag)
     assert run.notes and run.robot.shell_mass == 1.5
     assert run.times == pytest.approx(whole.times, rel=1e-9, abs=1e-9)
-    assert run.goal_times == pytest.approx([0.0], abs=0.011)
-    assert [plan.start for plan in run.plans] == pytest.approx(STARTS, abs=exactly)
+    assert run.goals.times == pytest.approx([0.0], abs=0.011)
+    assert run.plans.times == pytest.approx(STARTS, abs=exactly)
     assert run.solves.times == pytest.approx(STARTS, abs=exactly)
     settled = "settle_time_s"
     assert figures(run)[settled] == pytest.approx(figures(whole)[settled], abs=0.011)
 
 
 def test_momentum_and_pushes_are_read(read) -> None:
-    momentum = read(momentum_messages()).momentum
-    assert not momentum.is_zero
+    run = read(momentum_messages())
+    momentum, disturbances = run.momentum, run.disturbances
+    assert run.has_momentum
     np.testing.assert_allclose(momentum.times, STARTS, atol=1e-9)
     assert not momentum.values[:3].any()
     np.testing.assert_allclose(momentum.values[3:], np.tile([0.075, 0.15, 0.0], (4, 1)))
-    np.testing.assert_allclose(momentum.push_times, [1.0], atol=1e-9)
-    np.testing.assert_allclose(momentum.impulses, [[0.5, -0.25]])
-    assert momentum.disturbance_at(-0.1) is UNDISTURBED
-    assert not momentum.disturbance_at(0.6).as_array().any()
-    disturbance, robot = momentum.disturbance_at(1.6), RobotParameters()
+    np.testing.assert_allclose(run.pushes.times, [1.0], atol=1e-9)
+    np.testing.assert_allclose(run.pushes.values, [[0.5, -0.25]])
+    assert disturbances.at(-0.1, UNDISTURBED) is UNDISTURBED
+    assert not disturbances.at(0.6).as_array().any()
+    disturbance, robot = disturbances.at(1.6), RobotParameters()
     slope, offset = slope_torque(robot, np.radians(0.5), np.pi / 2), np.full(3, 1e-3)
     np.testing.assert_allclose(disturbance.slope, slope, atol=1e-9)
     imbalance = imbalance_of_offset(robot, offset)
     np.testing.assert_allclose(disturbance.imbalance, imbalance, rtol=1e-9)
-    assert np.all(np.isnan(momentum.at(-0.1)))
+    assert momentum.at(-0.1) is None
     assert momentum.at(1.6).tolist() == momentum.at(99.0).tolist() == [0.075, 0.15, 0.0]
 
 
@@ -173,7 +174,7 @@ def test_invalid_messages_and_numbers_of_no_robot_are_ignored(read) -> None:
     lures = [(f"/{lure}/active_goal", *entries[0][1:]) for lure in lures]
     run = read([*entries, *broken, *lures])
     assert len(run.goals) == 1 and len(run.plans) == len(run.solves.times) == 7
-    assert len(run.times) == 301 and np.isnan([run.rotor_speeds[0], run.rotor_torques[0]]).all()
+    assert len(run.times) == 301 and np.isnan(run.rotor_speeds.values[0]).all()
     assert run.notes == (
         "/pose: 1 invalid poses were ignored",
         "/controller/active_goal: 1 invalid goals were ignored",
@@ -193,11 +194,11 @@ def test_speeds_are_those_of_messages_that_have_velocities(read, whole, order, s
     angles = [changed(entry, stamp=entry[2] + shift, edit=stand) for entry in entries
               if entry[0] == "/joint_states"]
     run = read(in_order(*(angles if order < 0 else ()), *entries, *(angles if order > 0 else ())))
-    assert run.rotor_speeds.tolist() == whole.rotor_speeds.tolist()
-    assert run.joint_times.tolist() == whole.joint_times.tolist()
+    assert run.rotor_speeds.values.tolist() == whole.rotor_speeds.values.tolist()
+    assert run.rotor_speeds.times.tolist() == whole.rotor_speeds.times.tolist()
     assert run.notes == ("/joint_states: 301 of 602 messages have no velocities",)
     alone = read([*without(entries, "/joint_states"), *angles])
-    assert np.isnan(alone.rotor_speeds).all()
+    assert np.isnan(alone.rotor_speeds.values).all()
     assert alone.notes == ("/joint_states: 301 of 301 messages have no velocities",)
 
 
@@ -214,7 +215,7 @@ def test_counts_of_contacts_that_are_no_numbers_are_ignored(read) -> None:
     counts = [diagnostics(START + i * STEP, "simulator: commands", wall_touched=count)
               for i, count in enumerate(("many", "1", "nan", "1e300", "2"))]
     run = read(in_order(*run_messages(), *counts))
-    assert run.floors.contact_times == pytest.approx([0.01, 0.04])
+    assert run.contacts.times == pytest.approx([0.01, 0.04])
 
 
 def test_run_to_each_goal_has_what_belongs_to_it(read) -> None:
@@ -225,8 +226,8 @@ def test_run_to_each_goal_has_what_belongs_to_it(read) -> None:
     np.testing.assert_allclose(last.times, 0.01 * np.arange(201), atol=1e-9)
     np.testing.assert_allclose(first.solves.times, [0.0, 0.5], atol=1e-9)
     np.testing.assert_allclose(last.solves.times, 0.5 * np.arange(5), atol=1e-9)
-    assert [plan.start for plan in last.plans] == pytest.approx(0.5 * np.arange(5))
-    assert len(first.joint_times) == 100 and len(first.goals) == len(last.goals) == 1
+    assert last.plans.times == pytest.approx(0.5 * np.arange(5))
+    assert len(first.rotor_speeds) == 100 and len(first.goals) == len(last.goals) == 1
     assert (first.name, last.name) == (f"{run.name}, goal 1", f"{run.name}, goal 2")
     assert run.metrics() == last.metrics() != first.metrics()
     assert first.goal[0] == 5.0 and last.goal[0] == 0.0
@@ -272,12 +273,13 @@ NOT_ASKED, TILTED = (Orientation.ANY, True, np.nan), (Orientation.FULL, False, 0
 )
 def test_errors_are_those_to_what_the_goals_demand(read, kinds, options, judged) -> None:
     run = read(given_in_turn(*kinds, **options))
-    assert run.goal_times == pytest.approx(np.arange(len(judged)), abs=1e-9)
+    assert run.goals.times == pytest.approx(np.arange(len(judged)), abs=1e-9)
     for number, (orientation, settled, error) in enumerate(judged, start=1):
         part = run.to_goal(number)
         metrics = part.metrics()
-        assert run.goals[number - 1] is run.goal_at(number - 0.5)
-        assert (run.goals[number - 1].orientation, metrics.settled) == (orientation, settled)
+        goal = run.goals.values[number - 1]
+        assert goal is run.goals.at(number - 0.5)
+        assert (goal.orientation, metrics.settled) == (orientation, settled)
         assert metrics.final_position_error_m == 0.0
         assert metrics.final_orientation_error_rad == pytest.approx(error, abs=1e-9, nan_ok=True)
         if settled:  # the nearest pose that the goal allows is the last one
@@ -295,7 +297,7 @@ def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
     run = read_run(write_rosbag2(tmp_path / "bag", logged))
     expected = read_run(write_rosbag2(tmp_path / "whole", on_the_system_clock(whole)))
     assert run.metrics() == expected.metrics()
-    for name in ("times", "joint_times", "rotor_speeds", "errors"):
+    for name in ("times", "states", "errors"):
         np.testing.assert_array_equal(getattr(run, name), getattr(expected, name))
     assert len(run.plans) == len(expected.plans) == 7 and len(run.solves.times) == 7
     assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")
@@ -333,8 +335,8 @@ def test_bag_of_another_robot_is_refused(read, entries, reason) -> None:
 def test_goals_that_were_not_in_force_are_ignored(read, goals, kept, notes) -> None:
     given = [goal_at(x, time) for x, time in goals]
     run = read(in_order(*given, *without(run_messages(), "active_goal")))
-    assert [goal.pose[0] for goal in run.goals] == pytest.approx(kept)
-    assert run.goal_times[0] == pytest.approx(goals[0][1], abs=1e-9)
+    assert [goal.pose[0] for goal in run.goals.values] == pytest.approx(kept)
+    assert run.goals.times[0] == pytest.approx(goals[0][1], abs=1e-9)
     assert list(run.notes) == [f"/controller/active_goal: {note}" for note in notes]
 
 
@@ -358,7 +360,7 @@ def test_floor_is_in_force_from_its_time_until_it_is_free(read) -> None:
     assert grid.occupied.shape == (40, 40) and grid.origin == pytest.approx((2, -2, np.pi / 2))
     at_the_wall = grid.local(np.array([1.25, 0.05])).astype(int)
     assert grid.occupied[at_the_wall[1], at_the_wall[0]] and grid.occupied.sum() == 40
-    assert [run.floors.clearance_at(t) for t in (1.0, 3.9)] == [0.25, 0.25]
+    assert [run.planned_clearances.at(t) for t in (1.0, 3.9)] == [0.25, 0.25]
     # The front of the sphere is at 0.3 m at the start, at 0.9 m after 3 s, the wall at 1.2 m.
     np.testing.assert_allclose(run.clearances[:150], 0.9 - 0.2 * run.times[:150], atol=1e-6)
     assert np.isnan(run.clearances[run.times >= 3.0]).all()
@@ -372,4 +374,4 @@ def test_floor_of_a_goal_is_the_one_that_was_in_force_then(read) -> None:
     assert second.floors.at(0.0) is run.floors.at(0.0) is not None
     assert np.nanmin(second.clearances) == pytest.approx(0.1, abs=1e-6)
     assert second.clearances[0] == pytest.approx(0.9 - 0.2 * 3.0, abs=1e-6)
-    assert second.floors.report_times.size == 0 and run.to_goal(1).floors.clearance_at(0.5) == 0.25
+    assert not second.planned_clearances and run.to_goal(1).planned_clearances.at(0.5) == 0.25

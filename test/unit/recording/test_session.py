@@ -14,8 +14,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from sphere_nmpc.fault_log import FaultLog
-from sphere_nmpc.ros.cdr import clock_message
+from sphere_nmpc.reporting.fault_log import FaultLog
+from sphere_nmpc.ros.cdr_messages import clock_message
 from sphere_sim.recording.bag_files import BagError
 from sphere_sim.recording.bag_writer import BagWriter
 from sphere_sim.recording.session import RecordingSession

@@ -140,7 +140,7 @@ def expect_log_times(read, ending: str, stamp_of, note: str) -> None:
     assert dataclasses.asdict(run.metrics()) == pytest.approx(
         dataclasses.asdict(expected.metrics()), nan_ok=True, rel=1e-6, abs=1e-6
     )
-    for name in ("times", "joint_times"):
+    for name in ("times", "states"):
         np.testing.assert_allclose(getattr(run, name), getattr(expected, name), atol=1e-6)
     (told,) = run.notes
     assert told.startswith(note)

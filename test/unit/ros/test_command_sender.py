@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ros2_control import Interpolation
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.ros import cdr
+from sphere_nmpc.ros import cdr_messages
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 
 SPEEDS = st.tuples(*[st.floats(-100.0, 100.0)] * 2)
@@ -26,7 +26,7 @@ def holds(draw, start: float = 0.0) -> FirstOrderHold:
 
 @given(hold=holds(), first=SPEEDS, shares=st.lists(st.floats(0.0, 1.2), min_size=1, max_size=20))
 def test_cubics_through_a_trajectory_are_the_first_order_hold(hold, first, shares) -> None:
-    followed = Interpolation(cdr.trajectory_message(hold, np.array(first)))
+    followed = Interpolation(cdr_messages.trajectory_message(hold, np.array(first)))
     for share in shares:
         time = share * hold.end
         # The angles are below 4000 rad, in which doubles resolve 5e-13; it is divided by 1e-3 s.

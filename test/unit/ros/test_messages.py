@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros import cdr
+from sphere_nmpc.ros import cdr, cdr_messages
 from sphere_nmpc.ros import messages as ms
 
 TURNED = np.array([1.0, 2.0, 0.5, -0.5, 0.7, 0.1])
@@ -50,8 +50,8 @@ def holds(draw) -> FirstOrderHold:
 @given(stamp=STAMPS, speeds=SPEEDS)
 def test_clock_and_speeds_are_those_of_rclpy_both_ways(stamp, speeds) -> None:
     clock, commands = Clock(clock=ms.stamp_to_ros(stamp)), Float64MultiArray(data=speeds.tolist())
-    assert deserialize_message(cdr.clock_message(stamp), Clock) == clock
-    assert deserialize_message(cdr.speeds_message(speeds), Float64MultiArray) == commands
+    assert deserialize_message(cdr_messages.clock_message(stamp), Clock) == clock
+    assert deserialize_message(cdr_messages.speeds_message(speeds), Float64MultiArray) == commands
     assert cdr.clock_stamp(serialize_message(clock)) == stamp
     np.testing.assert_array_equal(cdr.speeds_of_message(serialize_message(commands)), speeds)
     commands.data = [1.0, 2.0, 3.0]
@@ -64,17 +64,18 @@ def test_pose_is_the_one_of_rclpy_both_ways(state, stamp, frame) -> None:
     message = ms.pose_to_ros(state, stamp, 0.3, frame)
     turn = message.pose.orientation
     assert (turn.w, turn.x, turn.y, turn.z) == tuple(state[2:])
-    written = cdr.pose_message(state, stamp, 0.3, frame)
+    written = cdr_messages.pose_message(state, stamp, 0.3, frame)
     assert deserialize_message(written, PoseStamped) == message
     for given_as in (written, serialize_message(message)):
-        assert cdr.read(given_as, cdr.Pose).stamp == stamp
+        pose = cdr.read(given_as, cdr.Pose)
+        assert pose.stamp == stamp
         if frame in ("world", ""):
-            read = cdr.pose_of_message(given_as)
+            read = pose.in_frame("world")
             np.testing.assert_allclose(read, state, rtol=0.0, atol=4e-16)
             np.testing.assert_array_equal(read, ms.framed_pose_from_ros(message))
         else:
             with pytest.raises(InvalidStateError, match=f"frame: given '{frame}', .* 'world'"):
-                cdr.pose_of_message(given_as)
+                pose.in_frame("world")
 
 
 @given(
@@ -83,7 +84,7 @@ def test_pose_is_the_one_of_rclpy_both_ways(state, stamp, frame) -> None:
 )
 def test_imu_is_the_one_of_rclpy_both_ways_and_has_no_orientation(values, stamp, frame) -> None:
     rate, force = np.array(values[:3]), np.array(values[3:])
-    written = cdr.imu_message(rate, force, np.array([0.1, 0.2]), stamp, frame)
+    written = cdr_messages.imu_message(rate, force, np.array([0.1, 0.2]), stamp, frame)
     message = Imu(
         angular_velocity=Vector3(x=rate[0], y=rate[1], z=rate[2]),
         angular_velocity_covariance=np.diag([0.1**2] * 3).ravel(),
@@ -99,7 +100,7 @@ def test_imu_is_the_one_of_rclpy_both_ways_and_has_no_orientation(values, stamp,
 
 @given(hold=holds(), epoch=EPOCHS, swapped=st.booleans())
 def test_trajectory_is_read_as_the_hold_that_was_written(hold, epoch, swapped) -> None:
-    written = cdr.trajectory_message(hold, np.array([3.0, -4.0]), epoch)
+    written = cdr_messages.trajectory_message(hold, np.array([3.0, -4.0]), epoch)
     message = deserialize_message(written, JointTrajectory)
     if swapped:
         message.joint_names = message.joint_names[::-1]
@@ -115,7 +116,7 @@ def test_trajectory_is_read_as_the_hold_that_was_written(hold, epoch, swapped) -
 
 @given(values=st.tuples(SPEEDS, SPEEDS, SPEEDS), stamp=STAMPS)
 def test_joint_states_are_those_of_rclpy_both_ways(values, stamp) -> None:
-    written = cdr.joint_states_message(*values, stamp)
+    written = cdr_messages.joint_states_message(*values, stamp)
     message = deserialize_message(written, JointState)
     assert message.name == list(cdr.JOINT_NAMES)
     speeds, when = cdr.rotor_speeds_and_stamp(written)
@@ -183,21 +184,24 @@ def test_pose_of_a_big_endian_machine_is_read() -> None:
     head = b"\x00\x00\x00\x00" + struct.pack(">iI", 12, 34)
     name = struct.pack(">I", 6) + b"world\x00" + bytes(6)
     raw = head + name + struct.pack(">7d", 1.5, 2.0, 0.3, 0.0, 0.0, 0.0, 1.0)
-    assert cdr.read(raw, cdr.Pose).stamp == 12_000_000_034
-    np.testing.assert_array_equal(cdr.pose_of_message(raw), [1.5, 2, 1, 0, 0, 0])
+    pose = cdr.read(raw, cdr.Pose)
+    assert pose.stamp == 12_000_000_034
+    np.testing.assert_array_equal(pose.in_frame("world"), [1.5, 2, 1, 0, 0, 0])
 
 
 @pytest.mark.parametrize("cut", [0, 3, 15, 60])
 @pytest.mark.parametrize(
     ("message", "read"),
     [
-        (cdr.pose_message(AT_ORIGIN, 1, 0.3), cdr.pose_of_message),
+        (cdr_messages.pose_message(AT_ORIGIN, 1, 0.3), lambda raw: cdr.read(raw, cdr.Pose)),
         (
-            cdr.trajectory_message(FirstOrderHold.constant(0.0, np.zeros(2)), np.zeros(2)),
+            cdr_messages.trajectory_message(
+                FirstOrderHold.constant(0.0, np.zeros(2)), np.zeros(2)
+            ),
             lambda raw: cdr.hold_and_stamp(raw, 0),
         ),
-        (cdr.joint_states_message(*np.zeros((3, 2)), 0), cdr.rotor_speeds_and_stamp),
-        (cdr.speeds_message(np.zeros(2))[:-4], cdr.speeds_of_message),
+        (cdr_messages.joint_states_message(*np.zeros((3, 2)), 0), cdr.rotor_speeds_and_stamp),
+        (cdr_messages.speeds_message(np.zeros(2))[:-4], cdr.speeds_of_message),
     ],
     ids=["pose", "trajectory", "joint states", "speeds"],
 )

@@ -12,10 +12,10 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Goals, Path
 
-from sphere_nmpc.conditions import Kind
 from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
+from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros
 from sphere_nmpc.ros.navigator.requests import (
     action_types,

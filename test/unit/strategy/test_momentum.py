@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from floor_plans import DOORWAY, floor_of
+from motions import largest_slope
+from situations import situation
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.course import LegEnd
@@ -37,9 +39,9 @@ from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import hold_momentum
-from sphere_nmpc.strategy.time_optimal.background import solver_for
 from sphere_nmpc.strategy.time_optimal.guide import Guide
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.search_task import solver_for
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.study.motion import disturbance_of
 from sphere_sim.world.disturbances import DisturbanceSettings
@@ -58,16 +60,6 @@ UPRIGHT = upright(1.0, -2.0)
 OFFSET = imbalance_of_offset(ROBOT, np.array([2e-3, 0.0, 1e-3]))
 LOADING = np.array([0.0, 1.0, 0.0])
 """Direction of the torque of `OFFSET` in an upright sphere of heading 0."""
-
-
-def situation(
-    goal: Vector, momentum: Vector = NO_MOMENTUM, disturbance: Disturbance = UNDISTURBED,
-    pose: Vector | None = None, in_force: tuple[float, float] = (0.0, 0.0),
-) -> Situation:
-    """Return a situation at the goal or at another pose."""
-    state = np.append(goal if pose is None else pose, momentum)
-    speeds = np.array(in_force)
-    return Situation.of(0.0, state, goal, speeds, ROBOT.lumped, disturbance=disturbance)
 
 
 def out_of_balance(momentum: float, slope: Vector = UNDISTURBED.slope) -> Situation:
@@ -122,7 +114,9 @@ def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
     def on_the_way(place: Vector, distance: float, momentum: Vector = NO_MOMENTUM) -> Situation:
         return situation(upright(*distance * direction, 0.6), momentum, pose=upright(*place))
 
-    for near in (on_the_way(np.zeros(2), 2.4e4), on_the_way(np.zeros(2), 2.4 * leg, pushed)):
+    tiny = np.array([0.02, -0.01, 0.0])
+    for momentum, distance in ((NO_MOMENTUM, 2.4e4), (tiny, 3.0 * leg), (pushed, 2.4 * leg)):
+        near = on_the_way(np.zeros(2), distance, momentum)
         (aim,) = Guide(near, SOLVER).guidance(0).aims
         assert not aim.is_local and aim.situation is near
     for place, momentum, length in (
@@ -251,8 +245,7 @@ def test_plan_ends_at_rest_at_the_goal_as_predicted_and_keeps_every_limit(
     np.testing.assert_allclose(arrival.states[-1, MOMENTUM], end[MOMENTUM], atol=allowed)
     np.testing.assert_array_equal(hold.speeds[0], now.speeds)
     assert np.max(np.abs(hold.speeds)) <= ROBOT.max_rotor_speed
-    slopes = np.abs(np.diff(hold.speeds, axis=0)) / np.diff(hold.times)[:, None]
-    assert np.max(slopes) <= ROBOT.max_rotor_acceleration + 1e-3
+    assert largest_slope(hold) <= ROBOT.max_rotor_acceleration + 1e-3
     predicted = InForce(arrival, now, ROBOT).at(float(hold.times[middle]))
     assert state_error(predicted, states[middle, POSE]) < 1e-4
     np.testing.assert_allclose(predicted[MOMENTUM], states[middle, MOMENTUM], atol=1e-2)

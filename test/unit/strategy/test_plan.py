@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from given_plans import plan_of
 
-from sphere_nmpc.conditions import Condition, Kind
 from sphere_nmpc.model.course import Leg, LegEnd
 from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import MOMENTUM, POSITION, upright_state, without_momentum
+from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
@@ -44,7 +44,7 @@ def plan() -> Plan:
         ((ROLLS, Condition(Kind.GIVEN_UP, "turns")), "rolls", "turns", None),
         ((Condition(Kind.GIVEN_UP, "turns"), ROLLS), "rolls", "turns", None),
         ((ROLLS, Condition(Kind.NO_WAY, "no way there")), "rolls", "no way there", Kind.NO_WAY),
-        (Kind.GOAL_OCCUPIED.alone, "", "", Kind.GOAL_OCCUPIED),
+        (Kind.GOAL_OCCUPIED.conditions, "", "", Kind.GOAL_OCCUPIED),
     ],
     ids=["says nothing", "planned", "gives up", "in any order", "unreachable", "without words"],
 )

@@ -15,7 +15,9 @@ from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import make_state
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_sim.recording.run import Estimates, Floors, Momentum, Run, Solves
+from sphere_sim.evaluation.series import Series
+from sphere_sim.recording.message_fields import ReportedSolve
+from sphere_sim.recording.run import Run
 from sphere_sim.viewer import replay as module
 from sphere_sim.viewer.live_frame import LiveFrame
 from sphere_sim.viewer.replay import Replay
@@ -194,15 +196,17 @@ def replay(wall) -> Replay:
     states[:, 0] = times
     goal = make_state((DURATION, 0.0), (1.0, 0.0, 0.0, 0.0))
     hold = FirstOrderHold(np.array([5.0, 5.5, 6.0]), np.array([[0, 0], [10, 0], [0, 0]], float))
-    solves = Solves(
-        np.array([5.0]), np.array([2e-3]), np.array([7.0]), ("solved",), np.array([np.nan])
-    )
+    joints = Series(times, np.ones((len(times), 2)))
     run = Run(
-        "run", Path("run"), times, states, times, np.ones((len(times), 2)),
-        np.ones((len(times), 2)), np.array([1.0]), (Goal(goal),), (hold,), solves,
-        Momentum(np.array([4.5]), MOMENTUM[None], (UNDISTURBED,)),
-        Floors(np.array([2.0, 8.0]), (GRID, None), np.array([3.0]), np.array([0.125])),
-        estimates=Estimates(np.array([4.9]), states[490:491] + 0.2 * np.eye(6)[0], ERROR[None]),
+        Series(times, states), joints, joints, "run", Path("run"),
+        goals=Series.of([(1.0, Goal(goal))], lasting=True), plans=Series.of([(5.0, hold)]),
+        solves=Series.of([(5.0, ReportedSolve(2e-3, 7.0, np.nan, "solved"))]),
+        momentum=Series(np.array([4.5]), MOMENTUM[None]),
+        disturbances=Series.of([(4.5, UNDISTURBED)]),
+        floors=Series.of([(2.0, GRID), (8.0, None)], lasting=True),
+        planned_clearances=Series.of([(3.0, 0.125)]),
+        estimates=Series(np.array([4.9]), states[490:491] + 0.2 * np.eye(6)[0]),
+        estimate_errors=Series(np.array([4.9]), ERROR[None]),
     )
     return Replay(run)
 
@@ -231,7 +235,7 @@ def test_seek_speed_pause_and_reset(replay, wall) -> None:
 
 
 def test_time_left_is_that_of_the_newest_solve_less_the_time_since(replay) -> None:
-    solves = replace(replay._run.solves, to_go=np.array([3.0]))
+    solves = Series.of([(5.0, ReportedSolve(2e-3, 7.0, 3.0, "solved"))])
     replay = Replay(replace(replay._run, solves=solves))
     for moment, left in ((4.0, np.nan), (5.0, 3.0), (7.25, 0.75), (9.0, 0.0)):
         replay.handle(Seek(moment))

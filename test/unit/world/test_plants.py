@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from other_robots import ROBOTS
 from printed_model import PrintedModel
 from scipy.integrate import solve_ivp
+from sized_robots import ROBOTS
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.disturbance import momentum_of_push

@@ -11,11 +11,12 @@ from matplotlib.text import Text
 from PIL import Image
 
 from sphere_nmpc.floor.occupancy import Grid
-from sphere_nmpc.model.disturbance import UNDISTURBED
 from sphere_nmpc.model.goal import Goal
+from sphere_sim.evaluation.series import Series
 from sphere_sim.output import colours
 from sphere_sim.output.colours import css
-from sphere_sim.recording.run import Floors, Momentum, Run, Solves
+from sphere_sim.recording.message_fields import ReportedSolve
+from sphere_sim.recording.run import Run
 from sphere_sim.report.figures import analysis
 from sphere_sim.report.figures.analysis import rotor_torques
 from sphere_sim.report.figures.animation import write_animation
@@ -46,15 +47,16 @@ def make_run(full: bool = True) -> Run:
     states[:, 2:] /= np.linalg.norm(states[:, 2:], axis=1, keepdims=True)
     times = np.linspace(0.0, 6.0, 60)
     n, g, k = (60, 1, 12) if full else (0, 0, 0)
+    turns = np.outer(times[:n], (1, 2))
     return Run(
-        name="run", path=Path("bag"), times=times, states=states,
-        joint_times=times[:n], rotor_speeds=90.0 * np.sin(np.outer(times[:n], (1, 2))),
-        rotor_torques=np.cos(np.outer(times[:n], (1, 2))), goal_times=np.zeros(g),
-        goals=g * (Goal(np.array([0.0, 0, 1, 0, 0, 0])),), plans=(),
-        solves=Solves(times[:k], np.full(k, 0.002), 10.0 ** -np.arange(k, dtype=float),
-                      ("solved",) * k, np.full(k, np.nan)),
-        momentum=Momentum(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0)),
-                          (UNDISTURBED,) * k, np.array([2.0]), np.array([[0.5, 0.0]])),
+        Series(times, states), Series(times[:n], 90.0 * np.sin(turns)),
+        Series(times[:n], np.cos(turns)), "run", Path("bag"),
+        goals=Series(np.zeros(g), g * (Goal(np.array([0.0, 0, 1, 0, 0, 0])),), lasting=True),
+        solves=Series(times[:k], tuple(
+            ReportedSolve(0.002, 10.0**-i, np.nan, "solved") for i in range(k)
+        )),
+        momentum=Series(times[:k], np.outer(times[:k], (0.1, 0.2, 0.0))),
+        pushes=Series(np.array([2.0]), np.array([[0.5, 0.0]])),
     )
 
 
@@ -113,7 +115,8 @@ def test_momentum_is_drawn_with_the_pushes_and_what_a_rotor_can_hold() -> None:
 
 def test_animation_is_written_until_the_run_ends(tmp_path) -> None:
     run = make_run()
-    write_animation(replace(run, times=0.1 * run.times), tmp_path / "run.gif")
+    shorter = Series(0.1 * run.times, run.states)
+    write_animation(replace(run, poses=shorter), tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as picture:
         assert picture.size == (640, 300) and picture.n_frames > 5
 
@@ -123,7 +126,7 @@ def test_what_is_occupied_is_drawn_under_the_path_where_it_is() -> None:
     occupied[41, 40:44] = True
     # Turned by a quarter: columns go along y, rows towards -x.
     grid = Grid(occupied, 0.25, (10.0, -10.0, 0.5 * np.pi))
-    run = replace(make_run(), floors=Floors(np.zeros(1), (grid,)))
+    run = replace(make_run(), floors=Series(np.zeros(1), (grid,), lasting=True))
     path = paper_panels(run).axes[2]
     (drawn,) = path.collections
     corners = [shape.vertices[:4] for shape in drawn.get_paths()]

@@ -1,0 +1,170 @@
+# Copyright 2026 sphere_nmpc contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One search for a plan, with all that it depends on, so that it can be done in any process."""
+
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from sphere_nmpc.model.course import LegEnd
+from sphere_nmpc.model.first_order_hold import FirstOrderHold
+from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import Vector
+from sphere_nmpc.strategy.clearance import Margin, is_clear
+from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.guide import Guide, with_lines
+from sphere_nmpc.strategy.time_optimal.knots import Grid
+from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
+from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
+from sphere_nmpc.strategy.time_optimal.steady_rolling import slowed
+from sphere_nmpc.worker.contract import Store
+
+_SEARCH_SHARE = 0.75
+"""Share of the wall time of a search after which the motors are spared with what it has found."""
+
+
+@lru_cache(maxsize=8)
+def solver_for(robot: RobotParameters, tuning: TimeOptimalSettings) -> ArrivalSolver:
+    """Return the solver for a robot, whose limits may be less than those of its drives."""
+    return ArrivalSolver(robot, Grid.of(robot, tuning.spacing), tuning)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchTask:
+    """Search for a plan that begins in a given situation, called in a worker or in line.
+
+    Attributes
+    ----------
+    robot : RobotParameters
+        Limits of the drives.
+    tuning : TimeOptimalSettings
+        Tuning of the search.
+    situation : Situation
+        Situation in which the plan begins, at time 0 and with its leg alone: a course may be long.
+    seed : int
+        Seed of the initial guesses, and number of the motion that is found.
+    effort : int
+        Planning effort of a new plan.
+    longest : float
+        Wall time at which the search stops [s].
+    from_rest : bool
+        Whether the sphere rests until the plan begins, which may then be at any time.
+    known : FirstOrderHold or None
+        Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
+        arrival is searched for. None for a new plan.
+    failed : int
+        Searches before it that have found nothing; a goal on the way around obstacles is then
+        nearer.
+    rested : ndarray of shape (2,), or None
+        Where the sphere has last rested [m], from which a part of the way has to lead on; None
+        where it is now.
+    is_next : bool
+        Whether it is for the leg after the one that is followed, from the end of that.
+    margin : float
+        Share of the least time that a new plan may take longer, to spare the motors.
+    asked : float
+        Time at which it is to arrive [s]; -inf where that follows from the margin.
+    spared : float
+        Time by which the plan that is known arrives later [s], to spare the motors.
+    """
+
+    robot: RobotParameters
+    tuning: TimeOptimalSettings
+    situation: Situation
+    seed: int
+    effort: int
+    longest: float
+    from_rest: bool = False
+    known: FirstOrderHold | None = None
+    failed: int = 0
+    rested: Vector | None = None
+    is_next: bool = False
+    margin: float = 0.0
+    asked: float = -math.inf
+    spared: float = 0.0
+
+    @property
+    def solver(self) -> ArrivalSolver:
+        """Solver with its limits of the drives."""
+        return solver_for(self.robot, self.tuning)
+
+    def __call__(self, store: Store | None = None) -> Plan | str:
+        """Return the plan, from time 0 on, with the earliest arrival that is found.
+
+        It is another one than that which is known. Without one it is why there is none wherever
+        one searches; empty where that is not so.
+        """
+        began, situation = time.perf_counter(), self.situation
+        is_paced = self.margin > 0.0 or self.spared > 0.0 or self.asked > -math.inf
+        end = began + (_SEARCH_SHARE if is_paced else 1.0) * self.longest
+        guide = Guide(situation, self.solver, self.rested)
+        if self.known is None:
+            found = self._new(situation, guide, end)
+        else:
+            found = self._earlier(situation, guide, self.known, end)
+        if not isinstance(found, Plan):
+            return found or ""
+        if is_paced and found.leg.end is LegEnd.REST:
+            found = self._paced(situation, found, began + self.longest)
+        return replace(found, made=replace(found.made, motion=self.seed))
+
+    def _new(self, situation: Situation, guide: Guide, end: float) -> Plan | str | None:
+        guidance = guide.guidance(self.failed)
+        if guidance.reason:
+            return guidance.reason
+        for aim in guidance.aims:
+            search = ArrivalSearch(self.solver, aim.situation, self.seed, detour=aim.detour)
+            found = search.improve(int(aim.share * self.effort), end)
+            if found is not None and not aim.is_local:
+                return found
+            if found is not None and guide.leads_on(found):
+                return guide.on_the_way(found)
+        if not guidance.by_lines or not situation.has_small_momentum:
+            return None  # lines are those of a sphere without momentum
+        found = self._by_lines(situation, guide, end) if guidance.sees_goal else None
+        if found is None and self.from_rest:
+            line = guide.line_on()
+            return None if line is None else guide.on_the_way(line)
+        return found
+
+    def _earlier(
+        self, situation: Situation, guide: Guide, known: FirstOrderHold, end: float
+    ) -> Plan | None:
+        """Return a plan with an earlier arrival than the one that is known; None without one."""
+        solver, goal = self.solver, situation.goal
+        start = solver.solve(situation, goal, known, budget=self.longest, kept=True)
+        if start.error > self.tuning.arrival_error:
+            return None
+        search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
+        found = search.improve_once(end)
+        if found is start or found is None or found.duration + self.spared >= start.duration:
+            return None
+        return found
+
+    def _paced(self, situation: Situation, found: Plan, end: float) -> Plan:
+        """Return a plan that spares the motors near the one found; without one that itself."""
+        margin, longer = self.margin, 0.0
+        if self.asked > -math.inf:
+            margin, longer = 0.0, max(0.0, self.asked - found.end)
+        elif self.known is not None:
+            margin, longer = 0.0, self.spared
+        slower = slowed(found.hold, found.made.turns > 0, margin, longer)
+        spared = slower.end - found.end
+        for plan in self.solver.spared(situation, found, slower, end) if spared > 0.0 else ():
+            is_there = plan.error <= self.tuning.arrival_error
+            if is_there and is_clear(situation, plan.hold, Margin.FOUND):
+                return replace(plan, asked=slower.end, spared=spared)
+        return replace(found, asked=self.asked)
+
+    def _by_lines(self, situation: Situation, guide: Guide, end: float) -> Plan | None:
+        """Return a plan to the goal that ends with straight lines to it."""
+        lines = guide.lines_to_goal()
+        if lines is None:
+            return None
+        aimed = situation.aimed_at(Goal(lines[0]))
+        found = ArrivalSearch(self.solver, aimed, self.seed).improve(self.effort, end)
+        return None if found is None else with_lines(situation, found, lines[1])

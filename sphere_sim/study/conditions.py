@@ -98,14 +98,10 @@ class StudyConditions:
 
 
 _GROUPS: dict[str, Any] = {
-    "controller": ControllerSettings,
-    "simulator": SimulatorSettings,
-    "robot": RobotParameters,
-    "disturbances": DisturbanceSettings,
-    "floor": FloorSettings,
-    "imu": SimulatedImuSettings,
-    "odometry": OdometrySettings,
+    one.name: one.default_factory for one in dataclasses.fields(StudyConditions)
+    if one.default_factory is not dataclasses.MISSING and one.name != "plants"
 }
+"""Classes of the settings of all runs, by kind."""
 
 
 def _found(name: str, text: str) -> tuple[str, str]:

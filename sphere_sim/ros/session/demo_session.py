@@ -111,9 +111,10 @@ class DemoSession:
 
     def _recorder_is_ready(self) -> bool:
         lines = self._call(self._recorder, Trigger.Request()).message.splitlines()
-        return not _missing(lines, ("received",), _RECEIVED) and not _missing(
-            lines, ("received", "matched"), _MATCHED
-        )
+        wanted = [*((topic, ("received ",)) for topic in _RECEIVED),
+                  *((topic, ("received ", "matched ")) for topic in _MATCHED)]
+        return all(any(line.startswith(states) and line.endswith(topic) for line in lines)
+                   for topic, states in wanted)
 
     def _await(self, condition: Callable[[], bool], end: float, what: str) -> None:
         if not serve_until(self.spin, condition, end - time.monotonic()):
@@ -131,9 +132,3 @@ class DemoSession:
         speeds, _ = rotor_speeds_and_stamp(message)
         if speeds is not None:
             self.rotor_speeds = speeds
-
-
-def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...]) -> list[str]:
-    """Return the topics that the recorder does not report in one of these states."""
-    there = [line.partition(" ")[2] for line in lines if line.partition(" ")[0] in states]
-    return [topic for topic in topics if not any(name.endswith(topic) for name in there)]

@@ -56,10 +56,6 @@ class StudyConditions:
         validate(self)
         object.__setattr__(self, "controller", self.controller.of(self.robot))
 
-    def contradiction(self) -> str | None:
-        """Return in one line how limits contradict each other; None if they do not."""
-        return self.of_plant.contradiction(self.robot)
-
     @property
     def of_plant(self) -> PlantSettings:
         """Settings that the plant of the runs has of its own."""

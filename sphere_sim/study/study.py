@@ -65,7 +65,7 @@ class Study:
 
         Returns the summary of each strategy.
         """
-        contradiction = self.conditions.contradiction()
+        contradiction = self.conditions.of_plant.contradiction(self.conditions.robot)
         if contradiction is not None:
             _log.warning("sphere_nmpc study: %s", contradiction)
         names = self.strategies or (self.conditions.controller.strategy,)

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
@@ -116,12 +115,12 @@ def value_function(run: Run) -> Figure:
         to_go = run.solves.column("time_to_go")
         positive, reported = np.isfinite(costs) & (costs > 0.0), np.isfinite(to_go)
         if np.any(reported):
-            _draw_samples(axes, times[reported], to_go[reported])
+            axes.plot(times[reported], to_go[reported], ".-", color=COLOURS[0], linewidth=1.0)
             axes.set_ylim(bottom=0.0)
             label(axes, "time [s]", "time to the goal, by the plan [s]")
         elif np.any(positive):
             axes.set_yscale("log")
-            _draw_samples(axes, times[positive], costs[positive])
+            axes.plot(times[positive], costs[positive], ".-", color=COLOURS[0], linewidth=1.0)
             label(axes, "time [s]", "value $V_N^*$")
         else:
             mark_missing(axes, "values")
@@ -185,7 +184,3 @@ def _single(title: str) -> tuple[Figure, Axes]:
     axes = figure.subplots()
     axes.set_title(title)
     return figure, axes
-
-
-def _draw_samples(axes: Axes, times: Vector, values: Vector) -> None:
-    axes.plot(times, values, ".-", color=COLOURS[0], linewidth=1.0)

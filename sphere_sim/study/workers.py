@@ -10,7 +10,7 @@ import select
 import signal
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from sphere_nmpc.errors import SphereNmpcError, printable_line, shown
@@ -45,15 +45,9 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-@dataclass(frozen=True)
-class _Call:
-    """A call as a task of `serve`."""
-
-    call: Callable[..., Any]
-    arguments: tuple[Any, ...]
-
-    def __call__(self, _store: object) -> object:
-        return self.call(*self.arguments)
+def _made(call: Callable[..., Any], arguments: tuple[Any, ...], _store: object) -> object:
+    """Make a call; with its first two arguments this is a task of `serve`."""
+    return call(*arguments)
 
 
 class Workers(contextlib.ExitStack):
@@ -108,7 +102,7 @@ class Workers(contextlib.ExitStack):
             busy[channel] = waiting.popleft()
             # If the process has ended, reading its answer fails.
             with contextlib.suppress(ChannelEndError):
-                channel.send(encoded(_Call(call, busy[channel][1])))
+                channel.send(encoded(partial(_made, call, busy[channel][1])))
 
         while waiting or busy:
             while waiting and len(busy) < self._jobs:

@@ -4,7 +4,6 @@
 
 import math
 import sys
-import time
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -19,6 +18,7 @@ from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
 from sphere_sim.recording.message_fields import number, reported_orientation
 from sphere_sim.ros.session.goal_arguments import GoalRequest, parse
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.session.serving import serve_until
 
 _ANSWER_TIMEOUT = 5.0
 """Longest wait for the confirmation of the controller, and for its decision after that [s]."""
@@ -72,9 +72,7 @@ def _outcome(request: GoalRequest, sender: GoalSender) -> str:
         told = f", at most {1e3 * off:.2g} mm off the path" if math.isfinite(off) else ""
         return f"reached after {took:.2f} s{_error(sender)}{told}"
     # The newest decision may be one of before the goal.
-    end = time.monotonic() + _ANSWER_TIMEOUT
-    while sender.report.mode == Kind.NO_GOAL.value and time.monotonic() < end:
-        sender.spin()
+    serve_until(sender.spin, lambda: sender.report.mode != Kind.NO_GOAL.value, _ANSWER_TIMEOUT)
     if obstacle := sender.obstacle():
         return f"in force, but the controller waits: {obstacle}"
     return f"in force; {sender.subscription.topic_name} reports the progress"

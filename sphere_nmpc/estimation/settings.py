@@ -82,7 +82,8 @@ class EstimatorSettings:
 
     # Poses that are wrong
     most_outliers: int = 4
-    """Noisy poses in a row that are left out as improbable; the next one is believed."""
+    """Poses, or fixes of the odometry, in a row that are left out as improbable; the next one is
+    believed."""
 
     @property
     def recent(self) -> int:

@@ -20,6 +20,8 @@ EXPECTED_DEVIATIONS = 3.0
 """Standard deviations up to which an error is expected [-]."""
 SIGNIFICANT_DEVIATIONS = 4.0
 """Standard deviations from which on what is measured is no noise [-]."""
+CONTRADICTING_DEVIATIONS = 6.0
+"""Standard deviations beyond which what was given or known until now is contradicted [-]."""
 _ROUNDING_SHARE = 1e-6
 """Asymmetry and negative eigenvalues of a given covariance that count as rounding, over its
 largest variance [-]."""

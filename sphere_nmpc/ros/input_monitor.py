@@ -21,9 +21,11 @@ from sphere_nmpc.ros.graph_monitor import (
     several_publishers,
 )
 
+CHECK_EVERY = 0.25
+"""Wall time between two checks of clock, messages and topics [s]."""
 SILENCE_LIMIT = 1.25
 """Silence after which a topic counts as missing [s, wall]. Nodes that start together have
-discovered each other by then, and with checks every half second faults are logged within two."""
+discovered each other by then, and with such checks faults are logged within two."""
 
 
 @dataclass(frozen=True)

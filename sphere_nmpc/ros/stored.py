@@ -14,6 +14,8 @@ from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.control_clock import ControlClock
 
 T = TypeVar("T")
+SAVE_EVERY = 1.0
+"""Wall time after which the present value is stored again [s]."""
 
 
 class Stored(Generic[T]):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 LEAST_DEVIATION = 1e-6
@@ -17,8 +18,6 @@ MOST_VARIANCE = (1e6, math.pi**2)
 _NEARLY = 0.2
 """Angle within which a vertical is the opposite one [rad]."""
 _OPPOSITE = "; or has the accelerometer the opposite sign?"
-_CONTRADICTED = 6.0
-"""Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
 
 
 class Fix(NamedTuple):
@@ -78,7 +77,7 @@ def contradiction(given: Fix, vertical: Vector, spread: float) -> tuple[str, boo
     stated = rotation.vertical(given.pose[QUATERNION])
     between = rotation.between(vertical, stated)
     known = float(np.trace(given.covariance[2:4, 2:4]))
-    allowed = _CONTRADICTED * math.sqrt(known + spread**2)
+    allowed = CONTRADICTING_DEVIATIONS * math.sqrt(known + spread**2)
     if between <= allowed or not has_tilt(given.covariance):
         return "", False
     is_opposite = between > math.pi - _NEARLY

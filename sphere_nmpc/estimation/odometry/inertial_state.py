@@ -38,7 +38,7 @@ ARM, MOMENTUM, CONSTANTS, RADIUS, OFFSET, SIZE = (
 )
 """Places in the error; matrices are there by rows."""
 POSE_ERROR = slice(0, 5)
-FIRST = 5
+FIRST = POSE_ERROR.stop
 """Size of the error of the pose, behind which the error is one of numbers."""
 
 

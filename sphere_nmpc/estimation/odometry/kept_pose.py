@@ -13,11 +13,9 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.foreign.own_folder import KeptFile
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, as_state
 
-_DIFFERENT = 3.0
-"""Standard deviations [-] by which a kept tilt may differ from the measured one, whose bias is
-mostly the same."""
 _TURNED = 0.1
 """Difference of rotor angles [rad] by which the rotors have turned meanwhile: the sphere of
 Table 1 rolls by 0.5 mm."""
@@ -58,7 +56,8 @@ class KeptPose(NamedTuple):
         before, now = (rotation.vertical(one[QUATERNION]) for one in (self.pose, found.pose))
         between = rotation.between(before, now)
         tilts = (_tilt(self.covariance, before), _tilt(found.covariance, now))
-        allowed = _DIFFERENT * math.sqrt(sum(tilts))
+        # The bias is mostly the same.
+        allowed = EXPECTED_DEVIATIONS * math.sqrt(sum(tilts))
         if between > allowed:
             return (
                 f"{given}, whose vertical is {math.degrees(between):.1f} deg from that of the "

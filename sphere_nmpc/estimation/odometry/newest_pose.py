@@ -10,10 +10,8 @@ from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
 from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap, sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import Belief, Samples
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS
 from sphere_nmpc.model.state import QUATERNION, Vector
-
-_FASTER = 6.0
-"""Standard deviations [-] by which a rate has to differ from that at rest to move the pose."""
 
 
 class NewestPose:
@@ -47,7 +45,8 @@ class NewestPose:
         """Move from the reading before the one of this index up to that."""
         pair = self._rates(belief, samples, slice(last - 1, last + 1), speeds)
         step, self.rate = samples.times[last] - samples.times[last - 1], pair[1]
-        if self.was_still and float(pair[1] @ pair[1]) < (_FASTER * self.scatter) ** 2:
+        limit = CONTRADICTING_DEVIATIONS * self.scatter
+        if self.was_still and float(pair[1] @ pair[1]) < limit**2:
             self.rate = np.zeros(3)
             return
         self.pose = self._filter.moved(self.pose, pair, step, self._filter.rolled(belief))

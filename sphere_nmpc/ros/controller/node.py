@@ -41,22 +41,19 @@ from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
+from sphere_nmpc.ros.input_monitor import CHECK_EVERY
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
-from sphere_nmpc.ros.stored import Stored, stored_file
+from sphere_nmpc.ros.stored import SAVE_EVERY, Stored, stored_file
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
 
-_CHECK_EVERY = 0.25
-"""Wall time between two checks of clock, pose and topics [s]."""
 _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SELDOM = 0.05
 """Control period above which a command that may be lost is sent again before the next one [s]."""
 _GOAL_LOGGED_EVERY = 0.1
 """Least wall time between two reports of one goal that is given again and again [s]."""
-_SAVE_EVERY = 1.0
-"""Wall time after which the goal in force is stored again [s]."""
 
 
 class ControllerNode(ClockedNode):
@@ -118,8 +115,8 @@ class ControllerNode(ClockedNode):
         self._subscribe(robot.shell_radius)
         self._timer: Timer | None = None
         self._set_timer()
-        self.create_wall_timer(_CHECK_EVERY, self._check)
-        self.create_wall_timer(_SAVE_EVERY, self._save_goal)
+        self.create_wall_timer(CHECK_EVERY, self._check)
+        self.create_wall_timer(SAVE_EVERY, self._save_goal)
         self._found_timer = self.create_wall_timer(_FOUND_EVERY, self._use_found)
         self._found_timer.cancel()
 

@@ -32,12 +32,13 @@ from sphere_nmpc.ros import cdr
 from sphere_nmpc.ros.cdr import BODY_FRAME, LARGEST_JOINTS, seconds, stamp_of
 from sphere_nmpc.ros.control_clock import ClockedNode, ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.input_monitor import CHECK_EVERY
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.messages import stamp_from_ros, uncertain_pose_from_ros
 from sphere_nmpc.ros.odometry.reports import OdometryReports
 from sphere_nmpc.ros.pose_publisher import PosePublisher, frame_prefix
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
-from sphere_nmpc.ros.stored import Stored, stored_file
+from sphere_nmpc.ros.stored import SAVE_EVERY, Stored, stored_file
 
 _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of measurements of which none may be dropped while the node is held up, for half a second at
@@ -45,10 +46,6 @@ _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 _FEW = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DEPTH = 10
 """Poses kept for a subscriber that is slow."""
-_CHECK_EVERY = 0.25
-"""Wall time between two checks of sensors and topics, and two statuses [s]."""
-_SAVE_EVERY = 1.0
-"""Wall time after which the pose is stored again [s]."""
 
 
 class OdometryNode(ClockedNode):
@@ -109,7 +106,7 @@ class OdometryNode(ClockedNode):
                 PoseWithCovarianceStamped, topic, take, _FEW, event_callbacks=NO_EVENTS
             )
         self.create_service(Trigger, "~/reset", self._reset)
-        self.create_wall_timer(_CHECK_EVERY, self._check)
+        self.create_wall_timer(CHECK_EVERY, self._check)
 
     @property
     def thread_priority(self) -> int:
@@ -195,7 +192,7 @@ class OdometryNode(ClockedNode):
         if estimate is None or self._recalled is not None:
             return
         at_rest = not (estimate.body_rate.any() or self.odometry.is_lost)
-        if wall < self._saved_at + _SAVE_EVERY and at_rest is self._was_at_rest:
+        if wall < self._saved_at + SAVE_EVERY and at_rest is self._was_at_rest:
             return
         self._saved_at, self._was_at_rest = wall, at_rest
         self._stored.save(KeptPose(estimate.pose, estimate.covariance, at_rest, self._angles))

@@ -25,14 +25,13 @@ from sphere_nmpc.estimation.posterior import (
     KNOT,
     LOCAL,
     NORMAL,
-    POSE_ERROR,
     TIGHT,
     PoseNoise,
     Scaling,
     apply_knot_error,
     knot_error,
 )
-from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.error_state import POSE_ERROR, error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
 _PRIOR_ERRORS = 10.0

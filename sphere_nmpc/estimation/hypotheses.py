@@ -20,7 +20,6 @@ from sphere_nmpc.estimation.posterior import (
     KNOT,
     LAG,
     MOMENTUM_ERROR,
-    POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
     TIGHT,
@@ -28,6 +27,7 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
 )
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import Vector
 
 _NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)

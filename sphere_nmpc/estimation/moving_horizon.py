@@ -27,16 +27,14 @@ from sphere_nmpc.estimation.posterior import (
     IMBALANCE,
     KNOT,
     LOCAL,
-    POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
     TIGHT,
     Posterior,
     Scaling,
-    with_block,
 )
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.error_state import POSE_ERROR, error_between, with_block
 from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 
 _MAX_ITERATIONS = 6

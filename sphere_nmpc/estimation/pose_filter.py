@@ -19,19 +19,19 @@ from sphere_nmpc.estimation.posterior import (
     KNOT,
     LOCAL,
     MOMENTUM_ERROR,
-    POSE_ERROR,
     SLOPE_ERROR,
     Posterior,
     Scaling,
-    with_block,
 )
 from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
+    POSE_ERROR,
     apply_error,
     error_between,
     state_deviation,
+    with_block,
 )
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.plant import PlantEstimate

@@ -14,11 +14,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
+from sphere_nmpc.model.error_state import (
+    ERROR_SIZE,
+    POSE_ERROR,
+    apply_error,
+    error_between,
+    with_block,
+)
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSE, POSE_SIZE, STATE_SIZE, Vector
 
@@ -27,7 +32,6 @@ LAG = CONSTANTS.stop
 SHARE, COMMON = LAG + 1, IMBALANCE.stop
 
 KNOT = ERROR_SIZE + 2
-POSE_ERROR = slice(0, 5)
 MOMENTUM_ERROR = slice(5, 8)
 SLOPE_ERROR = slice(8, 10)
 
@@ -73,15 +77,6 @@ def apply_knot_error(knot: Vector, error: Vector) -> Vector:
     """Return a knot, shape (11,), changed by an error, shape (10,)."""
     state = apply_error(knot[:STATE_SIZE], error[:ERROR_SIZE])
     return np.concatenate((state, knot[STATE_SIZE:] + error[ERROR_SIZE:]))
-
-
-def with_block(covariance: Vector, places: NDArray[np.intp] | slice, own: Vector) -> Vector:
-    """Return a covariance with another block at some places, independent of the others."""
-    found = covariance.copy()
-    found[places, :] = found[:, places] = 0.0
-    chosen = np.arange(len(found))[places]
-    found[np.ix_(chosen, chosen)] = own
-    return found
 
 
 def knot_error(knot: Vector, other: Vector) -> Vector:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS
+from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS, with_block
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 LEAST_DEVIATION = 1e-6
@@ -59,9 +59,7 @@ def with_vertical(given: Fix, vertical: Vector, tilt: Vector) -> Fix:
     if length < 1e-9:
         axis, length = np.array((1.0, 0.0, 0.0)), 1.0
     q = rotation.product(given.pose[QUATERNION], rotation.exponential(axis * (between / length)))
-    covariance = given.covariance.copy()
-    covariance[2:4, :] = covariance[:, 2:4] = 0.0
-    covariance[2:4, 2:4] = tilt
+    covariance = with_block(given.covariance, slice(2, 4), tilt)
     pose = np.concatenate((given.pose[:2], q / math.sqrt(float(q @ q))))
     return given._replace(pose=pose, covariance=covariance)
 

@@ -21,6 +21,7 @@ import numpy as np
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.inertial_motion import (
     Motion,
+    SensorMap,
     cross,
     crosses,
     sensor_map,
@@ -34,7 +35,6 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     MOMENTUM,
     OFFSET,
     PHI,
-    POSE_ERROR,
     RADIUS,
     SIZE,
     Belief,
@@ -47,6 +47,7 @@ from sphere_nmpc.estimation.odometry.rotor_model import RotorModel
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
@@ -93,6 +94,10 @@ class InertialFilter:
         """Return the radius as estimated [m]."""
         return self.radius * (1.0 + float(belief.numbers[RADIUS - FIRST]))
 
+    def sensor(self, belief: Belief) -> SensorMap:
+        """Return how readings are corrected."""
+        return sensor_map(belief, self.turn)
+
     def moved(self, pose: Vector, rates: Vector, step: float, radius: float) -> Vector:
         """Return the pose after a step [s] with body rates [rad/s] at its ends, shape (2, 3)."""
         before, after = rates
@@ -131,7 +136,7 @@ class InertialFilter:
     def _motion(self, belief: Belief, samples: Samples) -> Motion:
         """Return how the shell has moved: by the gyro, else the rotors; not at all at rest."""
         number, pose = len(samples.times), belief.pose
-        sensor = sensor_map(belief, self.turn)
+        sensor = self.sensor(belief)
         forces = np.array(samples.forces)
         rates: Vector = np.zeros((number, 3))
         if samples.usable and not samples.still:
@@ -317,8 +322,7 @@ class InertialFilter:
         In rad/s and the body frame.
         """
         duration = samples.duration
-        sensor = sensor_map(belief, self.turn)
-        measured = sensor.rates(np.array(samples.rates), np.array(samples.forces))
+        measured = self.sensor(belief).rates(np.array(samples.rates), np.array(samples.forces))
         turn = motion.turns[0] @ self.turn
         forces = np.tile(GRAVITY * turn[2], (len(measured), 1))
         by = -np.tensordot(motion.weights / duration, motion.rate_errors(forces), 1)

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import POSE_ERROR, with_block
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
 P, PHI, GYRO_BIAS, FORCE_BIAS = slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11)
@@ -37,7 +38,6 @@ ARM, MOMENTUM, CONSTANTS, RADIUS, OFFSET, SIZE = (
     slice(38, 41), slice(41, 44), slice(44, 47), 47, 48, 49,
 )
 """Places in the error; matrices are there by rows."""
-POSE_ERROR = slice(0, 5)
 FIRST = POSE_ERROR.stop
 """Size of the error of the pose, behind which the error is one of numbers."""
 
@@ -144,9 +144,7 @@ class Samples(NamedTuple):
 
 def replaced(belief: Belief, pose: Vector, covariance: Vector) -> Belief:
     """Return a belief at another pose, with the covariance of its error, shape (5, 5)."""
-    changed = belief.covariance.copy()
-    changed[POSE_ERROR, :] = changed[:, POSE_ERROR] = 0.0
-    changed[POSE_ERROR, POSE_ERROR] = covariance
+    changed = with_block(belief.covariance, POSE_ERROR, covariance)
     return belief._replace(pose=pose, covariance=changed, unexplained=np.zeros(3), height=0.0)
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap, sensor_map
+from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap
 from sphere_nmpc.estimation.odometry.inertial_state import Belief, Samples
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS
@@ -37,7 +37,7 @@ class NewestPose:
 
         `speeds` are the newest ones of the rotors [rad/s], shape (2,); None without any.
         """
-        self.pose, self._sensor = belief.pose, sensor_map(belief, self._filter.turn)
+        self.pose, self._sensor = belief.pose, self._filter.sensor(belief)
         for last in range(1, len(samples.times)):
             self.move(belief, samples, last, speeds)
 

@@ -16,7 +16,6 @@ from sphere_nmpc.estimation.odometry.given_pose import (
     with_vertical,
 )
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
     ARM,
     BY_FORCE,
@@ -29,7 +28,6 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     MOMENTUM,
     OFFSET,
     PHI,
-    POSE_ERROR,
     RADIUS,
     SIZE,
     Belief,
@@ -40,6 +38,7 @@ from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.reporting.conditions import Kind
 
@@ -123,8 +122,8 @@ class Placement:
         shown, spread = vertical, math.sqrt(float(np.trace(tilt)))
         if rested is not None:
             # What is measured, and not what is believed, which may be what has to be mended.
-            sensor = sensor_map(belief, self._filter.turn)
-            shown = self._filter.turn @ sensor.forces(np.array(rested.forces))[0]
+            forces = self._filter.sensor(belief).forces(np.array(rested.forces))
+            shown = self._filter.turn @ forces[0]
             shown, spread = shown / max(float(np.linalg.norm(shown)), 1e-3), self._spread
         return self._at(belief, given, (shown, spread), (vertical, tilt))
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.estimation.odometry.inertial_filter import ROLL, InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_state import GYRO_BIAS, POSE_ERROR, Belief
+from sphere_nmpc.estimation.odometry.inertial_state import GYRO_BIAS, Belief
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 

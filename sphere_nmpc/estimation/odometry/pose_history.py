@@ -16,11 +16,11 @@ from sphere_nmpc.estimation.odometry.given_pose import (
     with_vertical,
 )
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
-from sphere_nmpc.estimation.odometry.inertial_state import POSE_ERROR, Belief, Samples, replaced
+from sphere_nmpc.estimation.odometry.inertial_state import Belief, Samples, replaced
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 
@@ -76,7 +76,7 @@ class PoseHistory:
         belief, samples = self._end_of(interval), interval.samples
         rate: Vector = np.zeros((1, 3))
         if not samples.still:
-            sensor = sensor_map(belief, self._filter.turn)
+            sensor = self._filter.sensor(belief)
             rate = sensor.rates(np.array(samples.rates[-1:]), np.array(samples.forces[-1:]))
         # The nearest reading is up to half a sample from it.
         pose = self._filter.moved(

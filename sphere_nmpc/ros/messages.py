@@ -17,7 +17,6 @@ from rclpy.serialization import deserialize_message
 
 from sphere_nmpc.errors import Description, InvalidInputError, InvalidStateError
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import (
     FARTHEST,
     POSITION,
@@ -67,17 +66,6 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """Return the state, shape (6,), of a PoseStamped in the given frame or without one."""
     _check_frame(message.header.frame_id, frame)
     return pose_from_ros(message)
-
-
-def uncertain_pose_from_ros(message: Any, frame: str) -> tuple[Vector, Vector | None]:
-    """Return state, shape (6,), and covariance of its error of a PoseWithCovarianceStamped.
-
-    See `framed_pose_from_ros` and `error_covariance`; the height and its variance are ignored.
-    """
-    _check_frame(message.header.frame_id, frame)
-    pose = pose_from_ros(message.pose)
-    given = np.array(message.pose.covariance, dtype=float).reshape(6, 6)
-    return pose, error_covariance(pose, given)
 
 
 def framed_poses_from_ros(

@@ -44,7 +44,7 @@ from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
 from sphere_nmpc.ros.input_monitor import CHECK_EVERY
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
-from sphere_nmpc.ros.stored import SAVE_EVERY, Stored, stored_file
+from sphere_nmpc.ros.stored import SAVE_EVERY, Stored
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
 
@@ -92,10 +92,9 @@ class ControllerNode(ClockedNode):
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._goal_logged_at = -math.inf
-        keep = settings.goal_memory
         self._stored_goal = Stored(
-            goal_memory(stored_file(self, "goal"), keep) if keep > 0.0 else None,
-            self._control_clock, self._fault_log, "goal", "without a goal",
+            self, goal_memory, settings.goal_memory, self._control_clock, self._fault_log, "goal",
+            "without a goal",
         )
         # Before the publisher of commands, so that nobody finds that one alone.
         self._period_publisher = self.create_publisher(Float64, "control_period", LATCHED)
@@ -292,7 +291,7 @@ class ControllerNode(ClockedNode):
         now = clock.steady_now()
         given = None if now is None else clock.own_time(goals.stamp, now)
         is_new = self.controller.following.take(goals, now if given is None else given)
-        self._stored_goal.supersede()
+        self._stored_goal.is_settled = True
         if not is_new and wall < self._goal_logged_at + _GOAL_LOGGED_EVERY:
             return
         self._goal_logged_at = wall
@@ -310,7 +309,7 @@ class ControllerNode(ClockedNode):
 
     def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was_in_force = self.controller.cancel()
-        self._stored_goal.supersede()
+        self._stored_goal.is_settled = True
         self._save_goal()
         self._stop()
         response.success = True

@@ -78,21 +78,14 @@ class Ending:
 
 @dataclass(frozen=True)
 class Due:
-    """What is to be done now.
-
-    Attributes
-    ----------
-    ended : tuple of Ending
-        Goals that have ended, each of which is reported once.
-    send : bool
-        Whether `GoalClient.message` is to be sent, with the stamp `GoalClient.stamp`.
-    cancel : bool
-        Whether the controller is to be requested to drop its goals.
-    """
+    """What is to be done now."""
 
     ended: tuple[Ending, ...] = ()
+    """Goals that have ended, each of which is reported once."""
     send: bool = False
+    """Whether `GoalClient.message` is to be sent, with the stamp `GoalClient.stamp`."""
     cancel: bool = False
+    """Whether the controller is to be requested to drop its goals."""
 
 
 @dataclass

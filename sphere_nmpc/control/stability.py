@@ -29,36 +29,24 @@ from sphere_nmpc.model.state import Vector
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Quantities of the monitor at a sampling instant.
-
-    Attributes
-    ----------
-    time : float
-        Control time [s].
-    state : ndarray, shape (6,)
-        x(k).
-    goal : ndarray, shape (6,)
-        x_d with the quaternion sign that the plan tracks.
-    value : float
-        V*(k), the optimal cost in the units of Eq. (24); nan where the solve failed.
-    next_input : ndarray, shape (2,)
-        u(k+1), the rotor speeds at the next sampling instant [rad/s].
-    input_weight : float
-        alpha [s^2/rad^2].
-    terminal_weight : float
-        beta [-], above 1.
-    max_speed : float
-        u_max [rad/s].
-    """
+    """Quantities of the monitor at a sampling instant."""
 
     time: float
+    """Control time [s]."""
     state: Vector
+    """State x(k), shape (6,)."""
     goal: Vector
+    """Goal x_d with the quaternion sign that the plan tracks, shape (6,)."""
     value: float
+    """Optimal cost V*(k) in the units of Eq. (24); nan where the solve failed."""
     next_input: Vector
+    """Rotor speeds u(k+1) at the next sampling instant [rad/s], shape (2,)."""
     input_weight: float
+    """Weight alpha of the inputs [s^2/rad^2]."""
     terminal_weight: float
+    """Weight beta of the end [-], above 1."""
     max_speed: float
+    """Largest rotor speed u_max [rad/s]."""
 
     @property
     def square_error(self) -> float:
@@ -83,33 +71,22 @@ class Sample:
 
 @dataclass(frozen=True)
 class StabilityReport:
-    """Assessment of the transition that led to the newest sample.
-
-    Attributes
-    ----------
-    time : float
-        Control time of the newest sample [s].
-    value_change : float
-        V*(k+1) - V*(k); nan for the first sample at a goal.
-    allowed_change : float
-        -l(x(k), u(k+1)), the largest change that Eq. (42) allows; nan likewise.
-    inside : bool
-        Whether the newest state is in the neighbourhood D of Remark 5.
-    judged : int
-        Transitions assessed since the start: those that began outside D.
-    violations : int
-        Number of these that violated Eq. (42).
-    not_nearer : int
-        Number of these with |x(k+1) - x_d| >= |x(k) - x_d|, which violates nothing.
-    """
+    """Assessment of the transition that led to the newest sample."""
 
     time: float
+    """Control time of the newest sample [s]."""
     value_change: float
+    """Change V*(k+1) - V*(k); nan for the first sample at a goal."""
     allowed_change: float
+    """Largest change that Eq. (42) allows, -l(x(k), u(k+1)); nan likewise."""
     inside: bool
+    """Whether the newest state is in the neighbourhood D of Remark 5."""
     judged: int
+    """Transitions assessed since the start: those that began outside D."""
     violations: int
+    """Number of these that violated Eq. (42)."""
     not_nearer: int
+    """Number of these with |x(k+1) - x_d| >= |x(k) - x_d|, which violates nothing."""
 
 
 def neighbourhood_radius(input_weight: float, terminal_weight: float, max_speed: float) -> float:

@@ -44,25 +44,17 @@ _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What older intervals contribute on a knot and the common unknowns: a Gaussian near a point.
-
-    Attributes
-    ----------
-    knot, common : ndarray, shapes (11,) and (9,)
-        The point.
-    information : ndarray, shape (19, 19)
-        Inverse covariance of the local unknowns, for any imbalance and drives.
-    gradient : ndarray, shape (19,)
-        Gradient there of half the cost.
-    scale : float
-        Scale of the noise's variance to expect.
-    """
+    """What older intervals contribute on a knot and the common unknowns: a Gaussian at a point."""
 
     knot: Vector
     common: Vector
+    """Point: knot and common unknowns, shapes (11,) and (9,)."""
     information: Vector
+    """Inverse covariance of the local unknowns, for any imbalance and drives, shape (19, 19)."""
     gradient: Vector
+    """Gradient there of half the cost, shape (19,)."""
     scale: float
+    """Scale of the noise's variance to expect."""
 
     def blurred(self, factor: Vector) -> "Prior":
         """Return the prior with a covariance F F^T more; `factor` F has shape (19, K)."""

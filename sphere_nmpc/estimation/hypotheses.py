@@ -50,39 +50,26 @@ class Event(Enum):
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Labels of the intervals of the window.
-
-    Attributes
-    ----------
-    events : tuple of Event
-        One for each interval, oldest first.
-    unbalanced : bool
-        Whether there is an imbalance; otherwise it is zero.
-    weak : bool
-        Whether the drives attain less than the acceleration limit.
-    weakened : bool
-        Whether they did before the window.
-    disturbed : bool
-        Whether there was momentum or slope before the window.
-    torques : bool
-        Whether slope and imbalance before the window are not those known from older intervals.
-    slippery : bool
-        Whether the sphere has slipped before the window, so that it will again.
-    renewed : bool
-        Whether the common unknowns are not those known from older intervals.
-    pose_noise : PoseNoise
-        Noise of the poses beyond that given.
-    """
+    """Labels of the intervals of the window."""
 
     events: tuple[Event, ...] = ()
+    """Label of each interval, oldest first."""
     unbalanced: bool = False
+    """Whether there is an imbalance; otherwise it is zero."""
     weak: bool = False
+    """Whether the drives attain less than the acceleration limit."""
     weakened: bool = False
+    """Whether the drives did before the window."""
     disturbed: bool = False
+    """Whether there was momentum or slope before the window."""
     torques: bool = False
+    """Whether slope and imbalance before the window are not those known from older intervals."""
     slippery: bool = False
+    """Whether the sphere has slipped before the window, so that it will again."""
     renewed: bool = False
+    """Whether the common unknowns are not those known from older intervals."""
     pose_noise: PoseNoise = EXACT
+    """Noise of the poses beyond that given."""
 
     def has_event(self, recent: int) -> bool:
         """Return whether there is an event in one of the newest intervals."""

@@ -42,25 +42,17 @@ from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """State and plant parameters at a sampling instant.
-
-    Attributes
-    ----------
-    state : ndarray, shape (9,)
-        Predicted state; its momentum is zero without evidence of any.
-    plant : PlantEstimate
-        Parameters of the plant; the same object until there are others.
-    covariance : ndarray of shape (5, 5), or None
-        Covariance of the error state: position [m; world frame], rotation vector [rad; body
-        frame]. None where poses are trusted exactly.
-    disturbance : Disturbance
-        Slope and imbalance, zero without evidence of any; the same object until there are others.
-    """
+    """State and plant parameters at a sampling instant."""
 
     state: Vector
+    """Predicted state, shape (9,); its momentum is zero without evidence of any."""
     plant: PlantEstimate
+    """Parameters of the plant; the same object until there are others."""
     covariance: Vector | None = None
+    """Covariance of the error state, shape (5, 5): position [m; world frame], rotation vector
+    [rad; body frame]. None where poses are trusted exactly."""
     disturbance: Disturbance = UNDISTURBED
+    """Slope and imbalance, zero without evidence; the same object until there are others."""
 
     @cached_property
     def uncertainty(self) -> float:
@@ -69,18 +61,12 @@ class Estimate:
 
 
 class Belief(NamedTuple):
-    """Gaussian distribution of the state at the time of a pose.
-
-    Attributes
-    ----------
-    state : ndarray, shape (9,)
-        Mean.
-    covariance : ndarray, shape (19, 19)
-        That of the local unknowns; of no meaning where poses are trusted exactly.
-    """
+    """Gaussian distribution of the state at the time of a pose."""
 
     state: Vector
+    """Mean, shape (9,)."""
     covariance: Vector
+    """Covariance of the local unknowns, (19, 19); without meaning where poses are exact."""
 
 
 @dataclass(eq=False)

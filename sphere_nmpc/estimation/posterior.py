@@ -56,18 +56,12 @@ plans are nearer to it."""
 
 
 class PoseNoise(NamedTuple):
-    """Noise of measured poses beyond that given.
-
-    Attributes
-    ----------
-    pose : float
-        Standard deviation of the pose [rad; over the radius in m].
-    time : float
-        Standard deviation of the stamp, the time at which it is said to be measured [s].
-    """
+    """Noise of measured poses beyond that given."""
 
     pose: float = 0.0
+    """Standard deviation of the pose [rad; over the radius in m]."""
     time: float = 0.0
+    """Standard deviation of the stamp, the time at which it is said to be measured [s]."""
 
 
 EXACT = PoseNoise()
@@ -87,21 +81,14 @@ def knot_error(knot: Vector, other: Vector) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Units and range of the common unknowns of a robot.
-
-    Attributes
-    ----------
-    nominal : LumpedConstants
-        Constants of the robot as built.
-    acceleration : float
-        Limit of the speeds sent [rad/s^2], which drives may not attain.
-    numbers : EstimatorSettings
-        Prior and noises.
-    """
+    """Units and range of the common unknowns of a robot."""
 
     nominal: LumpedConstants
+    """Constants of the robot as built."""
     acceleration: float
+    """Limit of the speeds sent [rad/s^2], which drives may not attain."""
     numbers: EstimatorSettings
+    """Prior and noises."""
 
     def prior(self, lag: float) -> Vector:
         """Return the prior mean, shape (9,), with an expected lag [s]."""
@@ -181,41 +168,28 @@ def disturbance_of(knot: Vector, common: Vector) -> Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Distribution of the newest knot and the common unknowns, and what it depends on.
-
-    Attributes
-    ----------
-    time : float
-        Control time of the knot [s].
-    knot, common : ndarray, shapes (11,) and (9,)
-        Mean.
-    covariance : ndarray, shape (19, 19)
-        That of the local unknowns. Those that are fixed have their prior variance.
-    undisturbed : bool
-        Whether momentum, slope and imbalance are zero.
-    unbalanced, weak : bool
-        Whether there is an imbalance, and whether drives attain less than the limit.
-    noise : float
-        Standard deviation of the errors of predicted poses, of each state [m, -].
-    scale : float
-        Scale of the noise's variance [-].
-    slipped : float
-        Number of intervals since the sphere has slipped; inf if it never has.
-    pose_noise : PoseNoise
-        Noise of the poses beyond that given.
-    """
+    """Distribution of the newest knot and the common unknowns, and what it depends on."""
 
     time: float
+    """Control time of the knot [s]."""
     knot: Vector
     common: Vector
+    """Mean of the knot and of the common unknowns, shapes (11,) and (9,)."""
     covariance: Vector
+    """Covariance of the local unknowns, (19, 19); what is fixed has its prior variance."""
     undisturbed: bool = True
+    """Whether momentum, slope and imbalance are zero."""
     unbalanced: bool = False
     weak: bool = False
+    """Whether there is an imbalance, and whether drives attain less than the limit."""
     noise: float = 0.0
+    """Standard deviation of the errors of predicted poses, of each state [m, -]."""
     scale: float = 1.0
+    """Scale of the noise's variance [-]."""
     slipped: float = np.inf
+    """Number of intervals since the sphere has slipped; inf if it never has."""
     pose_noise: PoseNoise = EXACT
+    """Noise of the poses beyond that given."""
 
     @classmethod
     def initial(cls, lag: float, scaling: Scaling) -> "Posterior":

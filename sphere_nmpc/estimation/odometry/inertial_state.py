@@ -86,31 +86,22 @@ class Findings(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Readings of an interval, from its start to its end, and speeds of the rotors at these.
-
-    Attributes
-    ----------
-    times : list of float
-        [s], n + 1 of them.
-    rates, forces : list of ndarray, each shape (3,)
-        Angular velocity [rad/s] and specific force [m/s^2] in the axes of the sensor.
-    valid : list of bool
-        Whether gyro and accelerometer can be believed.
-    speeds : ndarray, shape (n + 1, 2), optional
-        Speeds of the rotors [rad/s]; None where they are not known.
-    bend : float
-        Second differences of these speeds: root of their sum of squares [rad/s].
-    still : bool
-        Whether the shell is at rest.
-    """
+    """Readings of an interval, from its start to its end, and speeds of the rotors at these."""
 
     times: list[float]
+    """Times [s], n + 1 of them."""
     rates: list[Vector]
+    """Angular velocities [rad/s; axes of the sensor], each of shape (3,)."""
     forces: list[Vector]
+    """Specific forces [m/s^2; axes of the sensor], each of shape (3,)."""
     valid: list[bool]
+    """Whether gyro and accelerometer can be believed."""
     speeds: Vector | None = None
+    """Speeds of the rotors [rad/s], shape (n + 1, 2); None where they are not known."""
     bend: float = 0.0
+    """Second differences of these speeds: root of their sum of squares [rad/s]."""
     still: bool = False
+    """Whether the shell is at rest."""
 
     @property
     def usable(self) -> bool:

@@ -27,22 +27,15 @@ _TURN = slice(2, 5)
 
 
 class KeptPose(NamedTuple):
-    """What was known of the sphere when it was kept.
-
-    Attributes
-    ----------
-    pose, covariance : ndarray
-        As in `PoseEstimate`.
-    is_at_rest : bool
-        Whether it rested, at a position that was known.
-    angles : ndarray, shape (2,), optional
-        Angles of the rotors [rad]; None where they were not known.
-    """
+    """What was known of the sphere when it was kept."""
 
     pose: Vector
     covariance: Vector
+    """Covariance of the error of the pose, as in `PoseEstimate`."""
     is_at_rest: bool
+    """Whether it rested, at a position that was known."""
     angles: Vector | None
+    """Angles of the rotors [rad], shape (2,); None where they were not known."""
 
     def contradiction(self, age: float, found: PoseEstimate, angles: Vector | None) -> str:
         """Return why the sphere need not be where it was `age` [s] ago, in words; else "".

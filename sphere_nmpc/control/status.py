@@ -91,7 +91,7 @@ class ControllerStatus:
             self._counted, self._effort = active.course.origin, np.zeros(2)
         if -math.inf < last < time:
             plant = controller.estimator.plant.constants
-            self._effort += controller.sending.effort(last, time, pose, plant)
+            self._effort += controller.commands.effort(last, time, pose, plant)
         self._evaluated_at = time
         self._controllability = controllability(pose, controller.estimator.plant.constants)
 

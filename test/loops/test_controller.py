@@ -16,8 +16,8 @@ from motions import largest_slope
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
+from sphere_nmpc.control.sending import Commands
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate, PoseFilter
@@ -178,7 +178,7 @@ FAILING = {
     "reset of the strategy": (Given, "reset", True),
     "command": (Commands, "joined", False),
     "command in force": (Commands, "in_force", False),
-    "stop": (Commands, "stop", True),
+    "stop": (Commands, "stopping", True),
 }
 """Class, attribute, and whether it is used only where no fresh pose is left."""
 

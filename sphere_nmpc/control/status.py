@@ -223,21 +223,17 @@ def momentum_values(
         saturation = time_to_saturation(
             momentum, disturbance, goal[QUATERNION], robot.max_rotor_speed
         )
+    slope_x, slope_y = disturbance.slope.tolist()
     in_newton = robot.rotor_axial_inertia * momentum
     return {
         **{f"momentum_{axis}": value
            for axis, value in zip("xyz", in_newton.tolist(), strict=True)},
         "slope_deg": math.degrees(angle_of_slope(robot, disturbance.slope)),
-        "slope_direction_deg": math.degrees(_downhill(disturbance.slope)),
+        # Downhill is perpendicular to the torque. Subtracted from 0, as -0.0 gives an angle of -0.
+        "slope_direction_deg": math.degrees(math.atan2(0.0 - slope_x, slope_y)),
         **{f"mass_offset_{axis}_mm": value
            for axis, value in zip("xyz", offset.tolist(), strict=True)},
         "rest_speed_1": speeds[0],
         "rest_speed_2": speeds[1],
         "saturation_s": saturation,
     }
-
-
-def _downhill(slope: Vector) -> float:
-    """Return the downhill direction [rad from the x axis] of a slope's torque; 0 without one."""
-    # The torque is perpendicular to it. Subtracted from 0, as -0.0 gives an angle of -0.
-    return math.atan2(0.0 - float(slope[0]), float(slope[1]))

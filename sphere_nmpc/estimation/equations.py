@@ -269,7 +269,8 @@ class NormalEquations:
         change = 2.0 * self.gradient + self.information @ self.step
         self.cost = cost + float(change @ self.step) + known
         kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
-        moved = np.array([self._local(KNOT * k, 2 * KNOT) for k in kept]).reshape(-1, _BLOCK, 1)
+        knots, common = self.step[:-COMMON].reshape(-1, KNOT), self.step[-COMMON:]
+        moved = np.hstack((knots[:-1], knots[1:], np.tile(common, (count, 1))))[kept, :, None]
         self.whitened: Vector = (errors[kept] + jacobians[kept] @ moved)[:, :, 0]
         deviations = np.sqrt(scale * given.variances[kept])
         self.noise: Vector = deviations[:, None] * self.whitened[:, POSE_ERROR]
@@ -297,9 +298,6 @@ class NormalEquations:
         self.information[common, common] += information[width:, width:]
         self.gradient[knots] += gradient[:width]
         self.gradient[common] += gradient[width:]
-
-    def _local(self, begin: int, width: int) -> Vector:
-        return np.concatenate((self.step[begin : begin + width], self.step[-COMMON:]))
 
     def next_scale(self) -> float:
         """Return the scale of the noise that the errors after the step show, at least 1."""

@@ -135,17 +135,12 @@ class Hypothesis:
         )
 
     @property
-    def _noises(self) -> list["Hypothesis"]:
+    def noises(self) -> list["Hypothesis"]:
         """Hypotheses with other noises of the poses."""
         pose, time = self.pose_noise
         noises = [PoseNoise(one, time) for one in _NOISES]
         noises += [PoseNoise(pose, one) for one in _NOISES]
         return [replace(self, pose_noise=noise) for noise in noises]
-
-    @property
-    def gradual(self) -> list["Hypothesis"]:
-        """Hypotheses of what no single interval shows: another slope, noises of the poses."""
-        return [replace(self, torques=True), *self._noises]
 
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
         """Return hypotheses that differ in one respect, with the interval of which the event does.
@@ -158,7 +153,7 @@ class Hypothesis:
             for kind in Event if momentum else (Event.NONE, Event.SLIPPED, Event.LATE):
                 changed = replace(self, events=(*events[:i], kind, *events[i + 1 :]))
                 found.append((i, changed))
-        others = self._noises
+        others = self.noises
         if self.has_event(recent):
             # Several events in a row look like noise, and noise like several events.
             others += [replace(one, events=(Event.NONE,) * len(events)) for one in others]

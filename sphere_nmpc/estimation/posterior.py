@@ -212,11 +212,6 @@ class Posterior:
         return bool((np.diag(self.covariance) > 0.0).all())
 
     @property
-    def disturbance(self) -> Vector:
-        """Momentum, slope and imbalance, shape (8,), at the places `DISTURBANCE`."""
-        return np.concatenate((self.knot[MOMENTUM.start :], self.common[IMBALANCE]))
-
-    @property
     def slope_and_imbalance(self) -> Disturbance:
         """Slope and imbalance; `UNDISTURBED` where they are zero."""
         return UNDISTURBED if self.undisturbed else disturbance_of(self.knot, self.common)
@@ -264,7 +259,8 @@ class Posterior:
         probable than other values (the Savage-Dickey ratio).
         """
         places = DISTURBANCE if self.unbalanced else DISTURBANCE[:5]
-        values, within = self.disturbance[: places.size], self.covariance[np.ix_(places, places)]
+        values = np.concatenate((self.knot[MOMENTUM.start :], self.common[IMBALANCE]))
+        values, within = values[: places.size], self.covariance[np.ix_(places, places)]
         square = float(values @ np.linalg.solve(within, values))
         wide = np.repeat([numbers.push, numbers.tilt, numbers.imbalance], [3, 2, 3])[: places.size]
         narrowed = float(np.linalg.slogdet(within)[1]) - 2.0 * float(np.sum(np.log(wide)))

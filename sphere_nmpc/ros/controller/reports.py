@@ -207,7 +207,7 @@ class ControllerReports:
             "floor_pending_s": self._floor_pending(),
             "pose_topic": self._monitor.topic,
         }
-        found = worst_first((*self._monitor.faults, *warnings))
+        found = worst_first((*self._monitor.graph.faults, *warnings))
         report: Report = mode.severity, message, values
         if found:
             report = with_conditions(report, found)
@@ -329,7 +329,7 @@ class ControllerReports:
         }
         mode = self._mode
         at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
-        found = [one._replace(text="") for one in self._monitor.faults]
+        found = [one._replace(text="") for one in self._monitor.graph.faults]
         return with_conditions((mode.severity, f"{mode.value}{at}", values), found)
 
 

@@ -73,8 +73,6 @@ class Sample:
 class StabilityReport:
     """Assessment of the transition that led to the newest sample."""
 
-    time: float
-    """Control time of the newest sample [s]."""
     value_change: float
     """Change V*(k+1) - V*(k); nan for the first sample at a goal."""
     allowed_change: float
@@ -127,5 +125,5 @@ class StabilityMonitor:
                 self._not_nearer += int(sample.square_error >= last.square_error)
         inside = usable and sample.inside
         return StabilityReport(
-            sample.time, change, allowed, inside, self._judged, self._violations, self._not_nearer
+            change, allowed, inside, self._judged, self._violations, self._not_nearer
         )

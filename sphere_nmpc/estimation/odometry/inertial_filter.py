@@ -69,22 +69,17 @@ class InertialFilter:
         self, imu: ImuSettings, robot: RobotParameters, numbers: OdometryNumbers,
         pivoting: float = 0.0,
     ) -> None:
-        self._pivoting = pivoting
-        # Below these the errors of the discretisation are larger.
-        gyro, accelerometer = numbers.least_noises
-        self.imu = replace(
-            imu, gyro_noise=max(imu.gyro_noise, gyro),
-            accelerometer_noise=max(imu.accelerometer_noise, accelerometer),
-        )
+        self.imu, self._numbers, self._pivoting = imu, numbers, pivoting
         """Settings of the IMU, with noises that may have been raised."""
-        self._numbers = numbers
+        # Below these the errors of the discretisation are larger.
+        self.raise_noises(*numbers.least_noises)
         self.rotors = RotorModel(robot)
         """How the shell turns by the rotors."""
         self.radius = robot.shell_radius
         self.turn, self._place = imu.turn, np.array(imu.position)
 
     def raise_noises(self, gyro: float, accelerometer: float) -> None:
-        """Raise the noise densities to those that were seen at rest, where they are larger."""
+        """Raise the noise densities to these, as they were seen at rest, where they are larger."""
         self.imu = replace(
             self.imu, gyro_noise=max(self.imu.gyro_noise, gyro),
             accelerometer_noise=max(self.imu.accelerometer_noise, accelerometer),
@@ -296,7 +291,8 @@ class InertialFilter:
                 belief = belief._replace(covariance=covariance)
                 found, _, _ = self._updated(belief, by, innovation, noise, math.inf)
         if samples.still:
-            found = self._at_rest(found, motion, samples)
+            measured = self._rate_at_rest(found, motion, samples)
+            found, _, _ = self._updated(found, *measured, largest)
         return found, square
 
     def rest_square(self, belief: Belief, samples: Samples) -> float:
@@ -328,11 +324,6 @@ class InertialFilter:
         by = -np.tensordot(motion.weights / duration, motion.rate_errors(forces), 1)
         noise = self.imu.gyro_noise**2 / duration * np.eye(3)
         return np.asarray(by, float), motion.weights @ measured / duration, noise
-
-    def _at_rest(self, belief: Belief, motion: Motion, samples: Samples) -> Belief:
-        """Return the belief with the rate of the shell, which is zero, taken into account."""
-        measured = self._rate_at_rest(belief, motion, samples)
-        return self._updated(belief, *measured, self._numbers.improbable(3))[0]
 
     def with_other_bias(self, belief: Belief, samples: Samples) -> Belief:
         """Return the belief of a gyro whose bias is another one, as its rate at rest shows.

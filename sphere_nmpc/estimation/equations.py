@@ -202,18 +202,6 @@ class NormalEquations:
 
     Poses within an interval are not used where an event happened, as its time is unknown, nor in
     the interval `without`.
-
-    Attributes
-    ----------
-    step : ndarray, shape (10 n + 19,)
-        Gauss-Newton step of the decision variables.
-    cost : float
-        -2 log of the probability of the poses after it, up to a constant.
-    whitened : ndarray, shape (n, 10)
-        Steps at the ends of the intervals without an event that it leaves, over their standard
-        deviations.
-    noise : ndarray, shape (n, 5)
-        Errors of predicted poses in these steps [m, rad], without what drives differ by.
     """
 
     def __init__(
@@ -263,17 +251,22 @@ class NormalEquations:
         cost += 2.0 * float(np.sum(np.log(TIGHT / given.scaling.deviations[fixed])))
         # SciPy's triangular solver is faster, but its import takes as long as all others here.
         self.step: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
+        """Gauss-Newton step of the decision variables, shape (10 n + 19,)."""
         self._keep_range(given)
         self._factor: Vector = np.asarray(np.linalg.cholesky(self.information))
         known = 2.0 * float(np.sum(np.log(np.diag(self._factor))))
         change = 2.0 * self.gradient + self.information @ self.step
         self.cost = cost + float(change @ self.step) + known
+        """Cost after the step: -2 log of the probability of the poses, up to a constant."""
         kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
         knots, common = self.step[:-COMMON].reshape(-1, KNOT), self.step[-COMMON:]
         moved = np.hstack((knots[:-1], knots[1:], np.tile(common, (count, 1))))[kept, :, None]
         self.whitened: Vector = (errors[kept] + jacobians[kept] @ moved)[:, :, 0]
+        """Steps that are left at the ends of the intervals without an event, over their standard
+        deviations, shape (n, 10)."""
         deviations = np.sqrt(scale * given.variances[kept])
         self.noise: Vector = deviations[:, None] * self.whitened[:, POSE_ERROR]
+        """Errors of predicted poses in these steps [m, rad], shape (n, 5), but by the drives."""
 
     def _keep_range(self, given: Linearisation) -> None:
         """Change the step so that common unknowns which would leave their range end at its end."""

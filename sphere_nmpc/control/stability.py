@@ -41,12 +41,8 @@ class Sample:
     """Optimal cost V*(k) in the units of Eq. (24); nan where the solve failed."""
     next_input: Vector
     """Rotor speeds u(k+1) at the next sampling instant [rad/s], shape (2,)."""
-    input_weight: float
-    """Weight alpha of the inputs [s^2/rad^2]."""
-    terminal_weight: float
-    """Weight beta of the end [-], above 1."""
-    max_speed: float
-    """Largest rotor speed u_max [rad/s]."""
+    weights: tuple[float, float, float]
+    """Alpha [s^2/rad^2], beta [-], above 1, and the largest rotor speed u_max [rad/s]."""
 
     @property
     def square_error(self) -> float:
@@ -56,17 +52,12 @@ class Sample:
     @property
     def stage_cost(self) -> float:
         """l(x(k), u(k+1)) (Eq. 34)."""
-        return self.square_error + self.input_weight * float(np.sum(self.next_input**2))
+        return self.square_error + self.weights[0] * float(np.sum(self.next_input**2))
 
     @property
     def inside(self) -> bool:
         """Whether the state is in the neighbourhood D of Remark 5."""
         return math.sqrt(self.square_error) < neighbourhood_radius(*self.weights)
-
-    @property
-    def weights(self) -> tuple[float, float, float]:
-        """Alpha, beta and u_max."""
-        return self.input_weight, self.terminal_weight, self.max_speed
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ class ControllerStatus:
                 time, settings.units.scaled(state[POSE]), settings.units.scaled(goal),
                 decision.plan.made.cost,
                 decision.plan.hold.at(time + settings.period),
-                settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
+                (settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed),
             )
         )
 

@@ -103,6 +103,7 @@ class ControllerReports:
         self._warnings: tuple[Condition, ...] = ()
         """Warnings of the last status, the worst first."""
         self._plan_message = Kind.NO_POSE.value
+        """Message of a status without a warning: its mode, and what is said of the plan."""
         self._status_at = perf_counter()
         self._diagnostics = Diagnostics(
             node, now, {"solver": self._solver, "loop": self._loop}, status=10
@@ -262,7 +263,9 @@ class ControllerReports:
         self._warnings = warnings = self._find_warnings(decision)
         self._lasting.update({one.name: one.text for one in warnings} if solved else {})
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
-        self._plan_message = _in_words(mode, plan.message)
+        about = plan.message
+        is_all = mode is Kind.AT_GOAL or about in ("", mode.value)
+        self._plan_message = mode.value if is_all else f"{mode.value}: {about}"
         self._publish_status(mode, warnings, self._plan_message, self._values)
         self._eta.publish(Float64(data=float(self._values["time_left_s"])))
         # Making the path takes as long as a plan.
@@ -338,12 +341,6 @@ def _shown(path: Path) -> Vector:
     curve = np.vstack((path.curve[:-1:_EACH], path.curve[-1]))
     half, none = 0.5 * curve[:, 2], np.zeros(len(curve))
     return np.column_stack((curve[:, :2], np.cos(half), none, none, np.sin(half)))
-
-
-def _in_words(mode: Kind, about_plan: str) -> str:
-    """Return the message of a status without a warning: its mode, and what is said of the plan."""
-    is_all = mode is Kind.AT_GOAL or about_plan in ("", mode.value)
-    return mode.value if is_all else f"{mode.value}: {about_plan}"
 
 
 def _percentiles(times: Recent) -> tuple[float, float, float]:

@@ -247,10 +247,6 @@ class Controller:
         self.rotors.clear()
         self.following.begin_anew()
 
-    def speeds_at(self, time: float) -> Vector:
-        """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
-        return self.rotors.at(time)
-
     def is_at_rest(self, now: float) -> bool:
         """Return whether no rotor moves at `now` [s] or later by the commands sent."""
         return not self.rotors.moves_after(now)

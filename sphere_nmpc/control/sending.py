@@ -46,8 +46,6 @@ class Commands:
 
     def __init__(self, robot: RobotParameters, record: Callable[[Exception], object]) -> None:
         self._robot, self._record = robot, record
-        self._max_speed = robot.max_rotor_speed
-        self._max_acceleration = robot.max_rotor_acceleration
         self.rotors = RotorHistory(robot.max_rotor_acceleration)
         """History of the holds sent."""
         self._begun: FirstOrderHold | None = None
@@ -66,7 +64,7 @@ class Commands:
         in_force = self.in_force(time)
         if self._stops and self._newest is not None and self._newest is self.rotors.newest:
             return in_force
-        return in_force.stop(time, self._max_acceleration)
+        return in_force.stop(time, self._robot.max_rotor_acceleration)
 
     def rest_of(self, hold: FirstOrderHold, time: float) -> FirstOrderHold | None:
         """Return the rest of the newest command from `time` on if it follows a hold, else None.
@@ -96,12 +94,12 @@ class Commands:
         It stops on its path `reach` [s] or two control periods `period` [s] later: a robot that
         gets no further command must not roll on.
         """
-        last = start + max(reach, 2.0 * period)
+        last, limit = start + max(reach, 2.0 * period), self._robot.max_rotor_acceleration
         led = self.rotors.leading_to(hold, start)
         if led.end > last:
-            led = led.stop(last, self._max_acceleration)
-        limited = led.in_nanoseconds().limited(self._max_speed, self._max_acceleration)
-        return limited.stop(limited.end, self._max_acceleration)
+            led = led.stop(last, limit)
+        limited = led.in_nanoseconds().limited(self._robot.max_rotor_speed, limit)
+        return limited.stop(limited.end, limit)
 
     def send(
         self, decision: Decision, hold: FirstOrderHold, now: float, planner: Planner,

@@ -4,11 +4,8 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 from sphere_nmpc.model.units import RobotUnits
-
-E = TypeVar("E", bound="EstimatorSettings")
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ class EstimatorSettings:
         """Number of newest intervals in which events are looked for: half of the window."""
         return self.window // 2
 
-    def of(self: E, units: RobotUnits) -> E:
+    def of(self, units: RobotUnits) -> "EstimatorSettings":
         """Return the numbers in the units of a robot."""
         torque, root = units.speed / units.time, math.sqrt(units.time)
         return replace(

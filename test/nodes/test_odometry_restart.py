@@ -49,7 +49,7 @@ def assert_lost(robot: RobotAtRest, reason: str) -> None:
     level, message = robot.status
     assert level == ERROR and message.startswith("position not known: given the pose of "), message
     assert reason in message and "until pose_fix or initialpose gives it" in message
-    assert not robot.poses and robot.node.odometry.is_lost
+    assert not robot.poses and robot.node.odometry.faults.is_lost
     assert np.trace(robot.node.odometry.estimate.covariance[:2, :2]) > 1.0
     put(robot, PLACE)
     robot.stay(0.5)

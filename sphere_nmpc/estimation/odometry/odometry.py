@@ -108,11 +108,6 @@ class Odometry:
         return 0.5 * self._step if self._imu.delay < 0.0 else self._imu.delay
 
     @property
-    def is_lost(self) -> bool:
-        """Whether the position is not known until a pose is given."""
-        return self.faults.is_lost
-
-    @property
     def estimate(self) -> PoseEstimate | None:
         """The pose at the newest reading; None before the calibration."""
         if self._belief is None:

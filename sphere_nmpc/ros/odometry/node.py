@@ -187,7 +187,7 @@ class OdometryNode(ClockedNode):
         estimate, wall = self.odometry.estimate, time.monotonic()
         if estimate is None or self._recalled is not None:
             return
-        at_rest = not (estimate.body_rate.any() or self.odometry.is_lost)
+        at_rest = not (estimate.body_rate.any() or self.odometry.faults.is_lost)
         if wall < self._saved_at + SAVE_EVERY and at_rest is self._was_at_rest:
             return
         self._saved_at, self._was_at_rest = wall, at_rest
@@ -204,7 +204,7 @@ class OdometryNode(ClockedNode):
         if self._recalled is not None:
             self._check_recalled(*self._recalled)
         estimate, radius = self.odometry.estimate, self._robot.shell_radius
-        if estimate is None or self._epoch is None or self.odometry.is_lost:
+        if estimate is None or self._epoch is None or self.odometry.faults.is_lost:
             self._sent = []
             return
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose

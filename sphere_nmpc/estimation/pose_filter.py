@@ -22,6 +22,7 @@ from sphere_nmpc.estimation.posterior import (
     SLOPE_ERROR,
     Posterior,
     Scaling,
+    disturbance_of,
 )
 from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
@@ -114,8 +115,10 @@ class PoseFilter:
         self._plant, self._max_step, self.is_noisy = plant, max_step, is_noisy
         self._pose_deviations, self._pose_noise = pose_deviations, result.pose_noise
         self._noise_scale = result.scale
-        self.disturbance = result.slope_and_imbalance
-        """Slope and imbalance that it predicts with."""
+        self.disturbance = UNDISTURBED if result.undisturbed else disturbance_of(
+            result.knot, result.common
+        )
+        """Slope and imbalance that it predicts with; `UNDISTURBED` where they are zero."""
         state, covariance = result.knot[:STATE_SIZE].copy(), result.covariance
         zero = DISTURBANCE if result.undisturbed else DISTURBANCE[5:]
         if not result.unbalanced:

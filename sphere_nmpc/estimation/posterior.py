@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
+from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
     POSE_ERROR,
@@ -210,11 +210,6 @@ class Posterior:
         except np.linalg.LinAlgError:
             return False
         return bool((np.diag(self.covariance) > 0.0).all())
-
-    @property
-    def slope_and_imbalance(self) -> Disturbance:
-        """Slope and imbalance; `UNDISTURBED` where they are zero."""
-        return UNDISTURBED if self.undisturbed else disturbance_of(self.knot, self.common)
 
     def with_lag(self, lag: float, scaling: Scaling) -> "Posterior":
         """Return the posterior with the prior of another lag [s] in place of its estimate."""

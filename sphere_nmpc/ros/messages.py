@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 
@@ -133,17 +133,6 @@ def odometry_to_ros(
     if covariances is not None:
         message.pose.covariance, message.twist.covariance = (one.ravel() for one in covariances)
     return message
-
-
-def transform_from_pose(
-    message: PoseStamped, body_frame: str = BODY_FRAME
-) -> TransformStamped:
-    """Return the transform from the body to the frame of its pose."""
-    transform = TransformStamped(header=message.header, child_frame_id=body_frame)
-    place, shift = message.pose.position, transform.transform.translation
-    shift.x, shift.y, shift.z = place.x, place.y, place.z
-    transform.transform.rotation = message.pose.orientation
-    return transform
 
 
 def path_to_ros(

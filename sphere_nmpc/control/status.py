@@ -100,7 +100,7 @@ class ControllerStatus:
     ]:
         """Return the values of the instant `time` [s], decided within `duration` [s]."""
         self._evaluate(decision, time)
-        plan, controller = decision.plan, self._controller
+        plan, controller, stability = decision.plan, self._controller, self._stability
         return {
             "time_s": f"{time:.9g}",
             "mode": decision.mode.value,
@@ -138,7 +138,12 @@ class ControllerStatus:
             "no_progress": next(
                 (text for kind, text, _ in decision.conditions if kind is Kind.NO_PROGRESS), ""
             ),
-            **self._stability_values(),
+            **({} if stability is None else {
+                "value_change": stability.value_change,
+                "value_change_allowed": stability.allowed_change,
+                "stability_steps": stability.judged,
+                "stability_violations": stability.violations,
+            }),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
             "pose_delay_s": controller.link.pose_delay,
@@ -178,17 +183,6 @@ class ControllerStatus:
         for name, deviation in zip(names, plant.deviations.tolist(), strict=True):
             values[f"{name}_deviation"] = deviation
         return {**values, "learnt_noise": plant.noise, "learnt_lag_s": plant.lag}
-
-    def _stability_values(self) -> dict[str, Any]:
-        report = self._stability
-        if report is None:
-            return {}
-        return {
-            "value_change": report.value_change,
-            "value_change_allowed": report.allowed_change,
-            "stability_steps": report.judged,
-            "stability_violations": report.violations,
-        }
 
 
 def goals_in_force(active: ActiveCourse | None, active_goal: int) -> dict[str, Any]:

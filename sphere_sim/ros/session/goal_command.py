@@ -111,7 +111,7 @@ def _error(sender: GoalSender) -> str:
 
 def _end(request: GoalRequest, sender: GoalSender) -> str:
     """Return what becomes of the goals after an interruption."""
-    if not sender.client.stamp:
+    if sender.client.goal is None:
         return "interrupted before it was sent"
     if not request.cancel_on_interrupt:
         return "interrupted; the sphere goes on to it"

@@ -105,8 +105,8 @@ class Identified:
         """How much was seen, and the check, in a line."""
         seen = sum(bool(row.deviation) for row in self.rows)
         unseen = ", ".join(row.name for row in self.rows if not row.deviation)
-        told = f"; not seen, as given: {unseen}" if unseen else ""
-        return f"{seen} of {len(self.rows)} identified{told}{self.check}"
+        unknown = f"; not seen, as given: {unseen}" if unseen else ""
+        return f"{seen} of {len(self.rows)} identified{unknown}{self.check}"
 
     def add(
         self, name: str, unit: str, value: ArrayLike, deviation: ArrayLike | None,
@@ -249,9 +249,9 @@ def _change_robot(found: Identified, constants: Vector, covariance: Vector) -> N
         deviation = math.sqrt(covariance[i, i]) or None
         found.add(name, "" if i else "m", constants[i], deviation, nominal[i])
     found.robot = _robot(given, constants)
-    told = deviations_of(given, constants, covariance)
+    deviations = deviations_of(given, constants, covariance)
     for name in ("shell_radius", *CHANGED):
-        found.notes[name] = f"+- {told[name]:.2g}" if told[name] else AS_GIVEN
+        found.notes[name] = f"+- {deviations[name]:.2g}" if deviations[name] else AS_GIVEN
 
 
 def _robot(given: RobotParameters, constants: Vector) -> RobotParameters:

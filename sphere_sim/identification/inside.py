@@ -84,7 +84,7 @@ class Inside:
 class Balance:
     """Balance of momentum along a track, and the constants that fulfil it.
 
-    A scale of the gyro, of deviation `gyro_scale`, cannot be told from c1, and to estimate it
+    A scale of the gyro, of deviation `gyro_scale`, cannot be seen beside c1, and to estimate it
     would shrink what is left: its deviation is added to those of the constants.
     """
 

@@ -255,7 +255,7 @@ class Odometry:
             given = "given none" if newest < 0.0 else f"given none for {time - newest:.2f} s"
             self.faults.see(Kind.IMU_SILENT, time, given)
         if self._speeds.times and not self._speeds.reach(time - self._numbers.silence):
-            self.faults.see(Kind.ENCODERS_SILENT, time, "slow motions and pushes cannot be told")
+            self.faults.see(Kind.ENCODERS_SILENT, time, "slow motions and pushes cannot be seen")
         self.faults.forget_before(time - self._numbers.remembered)
 
     def forget(self) -> None:

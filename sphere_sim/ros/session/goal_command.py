@@ -69,8 +69,8 @@ def _outcome(request: GoalRequest, sender: GoalSender) -> str:
         with GoalDisplay() as display:
             took = _wait(sender, display.update)
         off = display.largest_deviation
-        told = f", at most {1e3 * off:.2g} mm off the path" if math.isfinite(off) else ""
-        return f"reached after {took:.2f} s{_error(sender)}{told}"
+        path = f", at most {1e3 * off:.2g} mm off the path" if math.isfinite(off) else ""
+        return f"reached after {took:.2f} s{_error(sender)}{path}"
     # The newest decision may be one of before the goal.
     serve_until(sender.spin, lambda: sender.report.mode != Kind.NO_GOAL.value, _ANSWER_TIMEOUT)
     if obstacle := sender.obstacle():
@@ -95,8 +95,8 @@ def _wait(sender: GoalSender, show: Callable[[GoalReport], object]) -> float:
     if sender.ending.outcome is Outcome.SUCCEEDED:
         return elapsed + max(0.0, sender.report.time - report.time)
     if sender.ending.missed:
-        told = sender.obstacle() or sender.ending.reason
-        raise NotReachedError(f"the controller does not pursue it: {told}")
+        reason = sender.obstacle() or sender.ending.reason
+        raise NotReachedError(f"the controller does not pursue it: {reason}")
     raise NotReachedError(sender.ending.reason)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import sphere_nmpc
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.link import REACH
+from sphere_nmpc.control.sending import REACH
 from sphere_nmpc.reporting.conditions import Kind
 
 FOLLOWED, REPORTED, RESTING = "tick, followed", "tick, with a status", "tick, resting"

@@ -226,7 +226,7 @@ def _along_algorithm_1(start: Vector, goal: Vector) -> tuple[int, int, int, floa
             time=now, state=state, goal=goal,
             # The problem is over beta and lacks the stage cost of the state itself.
             value=beta * solution.cost + float(np.sum((state - goal) ** 2)), next_input=speeds,
-            input_weight=_PAPER.alpha, terminal_weight=beta, max_speed=ROBOT.max_rotor_speed,
+            weights=(_PAPER.alpha, beta, ROBOT.max_rotor_speed),
         ))
         inside = min(inside, now) if report.inside else inside
         plant.advance(speeds, _PAPER.period)

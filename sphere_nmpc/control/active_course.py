@@ -12,21 +12,14 @@ from sphere_nmpc.model.goal import Goal
 
 @dataclass(frozen=True, eq=False)
 class ActiveCourse:
-    """Course with the leg of it that is followed.
-
-    Attributes
-    ----------
-    course : Course
-        The course.
-    stamp : int
-        Stamp of the message that brought it [ns]; 0 if it has come otherwise.
-    index : int
-        Which leg is followed.
-    """
+    """Course with the leg of it that is followed."""
 
     course: Course
+    """The course."""
     stamp: int = 0
+    """Stamp of the message that brought it [ns]; 0 if it has come otherwise."""
     index: int = 0
+    """Which leg is followed."""
 
     @cached_property
     def leg(self) -> Leg:

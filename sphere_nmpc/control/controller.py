@@ -9,10 +9,10 @@ from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.course_following import CourseFollowing
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.keeping_clear import clear_plan, stop_if_refused
-from sphere_nmpc.control.link import REACH, Link
+from sphere_nmpc.control.link import Link
 from sphere_nmpc.control.planner import Planner
 from sphere_nmpc.control.pose_stream import PoseGate
-from sphere_nmpc.control.sending import Sending
+from sphere_nmpc.control.sending import REACH, Commands
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate
@@ -75,9 +75,9 @@ class Controller:
         """Message of the newest of these errors."""
         self.planner = Planner(settings, robot, self._record, strategy, worker)
         """The strategy in use, and the plan in force."""
-        self.sending = Sending(robot, self._record)
+        self.commands = Commands(robot, self._record)
         """The commands sent."""
-        self.rotors = self.sending.commands.rotors
+        self.rotors = self.commands.rotors
         """History of the commands, as measured rotor speeds correct them."""
         self.link = Link(self.rotors)
         """Delay and loss of commands and poses on their way."""
@@ -247,10 +247,6 @@ class Controller:
         self.rotors.clear()
         self.following.begin_anew()
 
-    def speeds_at(self, time: float) -> Vector:
-        """Return the rotor speeds commanded for `time` [rad/s], shape (2,)."""
-        return self.rotors.at(time)
-
     def is_at_rest(self, now: float) -> bool:
         """Return whether no rotor moves at `now` [s] or later by the commands sent."""
         return not self.rotors.moves_after(now)
@@ -272,7 +268,8 @@ class Controller:
             plan = self._fallback(time, None, error)
             if self.enabled:
                 return Decision(Kind.FALLBACK.conditions, plan, None)
-            return Decision(Kind.DISABLED.conditions, self.sending.stop(time, Kind.DISABLED), None)
+            stopped = self.commands.stop(time, Kind.DISABLED)
+            return Decision(Kind.DISABLED.conditions, stopped, None)
 
     def commit(self, decision: Decision, now: float) -> FirstOrderHold | None:
         """Return the hold to send at `now` [s] and record it as sent; None if there is none.
@@ -280,14 +277,14 @@ class Controller:
         The hold starts at `now` from the speeds in force, so that a late solve does not change
         the past; it keeps every limit and ends at rest.
         """
-        send = self.sending.send
+        send = self.commands.send
         try:
             return send(decision, decision.plan.hold, now, self.planner, self._settings)
         except Exception as error:
             # As in `decide`.
             self._record(error)
         try:
-            hold = self.sending.commands.in_force(now)
+            hold = self.commands.in_force(now)
             return send(decision, hold, now, self.planner, self._settings)
         except Exception as error:
             # Without a further command the hold in force is followed to its end.
@@ -315,7 +312,7 @@ class Controller:
         self._is_carried = self._is_carried and self.rotors.moves_after(time)
         if self._is_carried:
             jumped = Condition(Kind.POSE_JUMPED, self.pose_gate.last_jump)
-            return Decision((jumped,), self.sending.stop(time, jumped.kind), None, pose_age=age)
+            return Decision((jumped,), self.commands.stop(time, jumped.kind), None, pose_age=age)
         active, estimate = self.following.course.active, None
         if active is not None and active.goal.rate is not STANDING:
             active = self.following.course.at(time)
@@ -334,7 +331,7 @@ class Controller:
         goal = None if active is None else active.goal.nearest(state, time)
         if active is None or goal is None or not self._enabled:
             mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED
-            found, plan = mode.conditions, self.sending.stop(time, mode, state)
+            found, plan = mode.conditions, self.commands.stop(time, mode, state)
         elif estimate is None:
             found, plan = Kind.FALLBACK.conditions, self._fallback(time, state, failure)
         elif before is not None and before.stands(
@@ -356,7 +353,7 @@ class Controller:
     def _without_pose(self, time: float, mode: Kind, age: float) -> Decision:
         estimator = self.estimator
         return Decision(
-            mode.conditions, self.sending.stop(time, mode), None, pose_age=age,
+            mode.conditions, self.commands.stop(time, mode), None, pose_age=age,
             momentum=estimator.momentum, disturbance=estimator.disturbance,
         )
 
@@ -365,7 +362,7 @@ class Controller:
     ) -> tuple[tuple[Condition, ...], Plan]:
         try:
             situation = Situation(
-                time, estimate.state, active.course, self.sending.commands.in_force(time),
+                time, estimate.state, active.course, self.commands.in_force(time),
                 estimate.plant, estimate.disturbance, self._floor, active.index,
                 estimate.covariance, time_budget,
             )
@@ -386,7 +383,7 @@ class Controller:
     def _fallback(self, time: float, state: Vector | None, error: Exception) -> Plan:
         message = self._record(error)
         self.planner.reset()
-        return self.sending.fallback(time, state, message, not self.floor.is_empty)
+        return self.commands.fallback(time, state, message, not self.floor.is_empty)
 
     def _record(self, error: Exception) -> str:
         """Count an error and return its message."""

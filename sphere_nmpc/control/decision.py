@@ -18,40 +18,27 @@ _SOLVED = (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_PROGRESS, Kind.SATURATED)
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """Result of a sampling instant.
-
-    Attributes
-    ----------
-    conditions : tuple of Condition
-        How things stand; the first one is the mode.
-    plan : Plan
-        The plan, before it is joined to the speeds in force by `Controller.commit`.
-    state : ndarray of shape (9,), or None
-        State estimated for the sampling instant; None without a fresh pose.
-    goal : ndarray of shape (6,), or None
-        Goal that is aimed at; of a set the member that is nearest to the state.
-    pose_age : float
-        Age of the newest pose [s], negative for one from the future; inf without one.
-    covariance : ndarray of shape (5, 5), or None
-        Covariance of the error state: position [m; world frame], rotation vector [rad; body
-        frame]. None where poses are trusted exactly.
-    momentum : ndarray, shape (3,)
-        Estimated momentum, also without a fresh pose [rad/s; world frame].
-    disturbance : Disturbance
-        Estimated slope and imbalance.
-    is_new : bool
-        Whether the plan was made at this instant, rather than kept.
-    """
+    """Result of a sampling instant."""
 
     conditions: tuple[Condition, ...]
+    """How things stand; the first one is the mode."""
     plan: Plan
+    """The plan, before it is joined to the speeds in force by `Controller.commit`."""
     state: Vector | None
+    """State estimated for the sampling instant, shape (9,); None without a fresh pose."""
     goal: Vector | None = None
+    """Goal that is aimed at, shape (6,); of a set the member that is nearest to the state."""
     pose_age: float = float("inf")
+    """Age of the newest pose [s], negative for one from the future; inf without one."""
     covariance: Vector | None = None
+    """Covariance of the error state, shape (5, 5): position [m; world frame], rotation vector
+    [rad; body frame]. None where poses are trusted exactly."""
     momentum: Vector = field(default_factory=lambda: NO_MOMENTUM)
+    """Estimated momentum, also without a fresh pose [rad/s; world frame], shape (3,)."""
     disturbance: Disturbance = UNDISTURBED
+    """Estimated slope and imbalance."""
     is_new: bool = True
+    """Whether the plan was made at this instant, rather than kept."""
 
     @cached_property
     def mode(self) -> Kind:

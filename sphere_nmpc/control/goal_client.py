@@ -78,25 +78,18 @@ class Ending:
 
 @dataclass(frozen=True)
 class Due:
-    """What is to be done now.
-
-    Attributes
-    ----------
-    ended : tuple of Ending
-        Goals that have ended, each of which is reported once.
-    send : bool
-        Whether `GoalClient.message` is to be sent, with the stamp `GoalClient.stamp`.
-    cancel : bool
-        Whether the controller is to be requested to drop its goals.
-    """
+    """What is to be done now."""
 
     ended: tuple[Ending, ...] = ()
+    """Goals that have ended, each of which is reported once."""
     send: bool = False
+    """Whether the message of the stage is to be sent, with its stamp."""
     cancel: bool = False
+    """Whether the controller is to be requested to drop its goals."""
 
 
 @dataclass
-class _Pursuit:
+class Pursuit:
     """A goal from its acceptance to its end; times are those of the client [s]."""
 
     goal: Hashable
@@ -115,6 +108,7 @@ class _Pursuit:
     shown_at: float
     """When a status has last shown it; before the first one, when it began."""
     stage: int = 0
+    """The present stage, from 0 on."""
     missed: tuple[Missed, ...] = ()
     """Earlier stages that were missed."""
     sent_at: float | None = None
@@ -148,7 +142,8 @@ class GoalClient:
         self._settings, self._new_stamp = settings, new_stamp
         self._now, self._clock = 0.0, math.nan
         """Time of the client, and the time that was given with it [s]."""
-        self._pursuit: _Pursuit | None = None
+        self.pursuit: Pursuit | None = None
+        """The goal that has not ended, None without one."""
         self._report: GoalReport | None = None
         self._heard_at = -math.inf
         self._ended: list[Ending] = []
@@ -160,28 +155,13 @@ class GoalClient:
 
     @property
     def goal(self) -> Hashable | None:
-        """The goal that has not ended, None without one."""
-        return None if self._pursuit is None else self._pursuit.goal
-
-    @property
-    def message(self) -> Any:
-        """Message of the present stage of the goal; None without one."""
-        return None if self._pursuit is None else self._pursuit.message
-
-    @property
-    def stamp(self) -> int:
-        """Stamp of that message [ns]; 0 without one."""
-        return 0 if self._pursuit is None else self._pursuit.stamp
+        """Id of the goal that has not ended, None without one."""
+        return None if self.pursuit is None else self.pursuit.goal
 
     @property
     def report(self) -> GoalReport | None:
         """What the newest status that showed the goal said about it; None before the first."""
-        return None if self._pursuit is None else self._pursuit.newest
-
-    @property
-    def stage(self) -> int:
-        """The stage of the goal, from 0 on."""
-        return 0 if self._pursuit is None else self._pursuit.stage
+        return None if self.pursuit is None else self.pursuit.newest
 
     @property
     def hears_controller(self) -> bool:
@@ -207,17 +187,17 @@ class GoalClient:
         """
         self._end(Outcome.ABORTED, "a newer goal has taken over")
         patience = Patience(self._settings.no_progress_timeout)
-        self._pursuit = _Pursuit(
+        self.pursuit = Pursuit(
             goal, stages, pause, until_taken, next(stages), self._new_stamp(), self._now,
             patience, self._now,
         )
 
     def cancel(self, goal: Hashable) -> bool:
         """Cancel a goal, which ends at rest; return False if it has ended already."""
-        if self._pursuit is None or self._pursuit.goal != goal:
+        if self.pursuit is None or self.pursuit.goal != goal:
             return False
-        if self._pursuit.cancelled_at is None:
-            self._pursuit.cancelled_at = self._now
+        if self.pursuit.cancelled_at is None:
+            self.pursuit.cancelled_at = self._now
         return True
 
     def abandon(self, reason: str) -> None:
@@ -232,7 +212,7 @@ class GoalClient:
         """Take a status of the controller."""
         self._advance(now)
         self._report, self._heard_at = report, self._now
-        pursuit = self._pursuit
+        pursuit = self.pursuit
         if pursuit is not None and report.stamp == stamp_text(pursuit.stamp):
             pursuit.newest, pursuit.shown_at = report, self._now
 
@@ -242,12 +222,12 @@ class GoalClient:
         `can_send` and `can_cancel` are whether there is a controller for either.
         """
         self._advance(now)
-        pursuit = self._pursuit
+        pursuit = self.pursuit
         if pursuit is not None and (ending := self._ending(pursuit)) is not None:
             self._end(*ending)
         elif pursuit is not None and self._is_over(pursuit):
             self._go_on(pursuit)
-        pursuit, send, cancel = self._pursuit, False, False
+        pursuit, send, cancel = self.pursuit, False, False
         may_act = self._requested_at is None or self._now - self._requested_at > _RETRY_TIME
         if pursuit is None or pursuit.cancelled_at is not None:
             if cancel := can_cancel and may_act and self._is_to_drop():
@@ -264,7 +244,7 @@ class GoalClient:
             self._now += min(max(0.0, now - self._clock), _RETRY_TIME)
         self._clock = now
 
-    def _is_lost(self, pursuit: _Pursuit) -> bool:
+    def _is_lost(self, pursuit: Pursuit) -> bool:
         """Return whether the message of the stage is to be sent, for the first time or again."""
         if pursuit.sent_at is None:
             return True
@@ -277,11 +257,11 @@ class GoalClient:
         The status is to be recent, and not from before the last answer.
         """
         is_recent = self._now - self._heard_at < _RETRY_TIME and self._heard_at > self._answered_at
-        if self._pursuit is None:  # it may stay where it was reached
+        if self.pursuit is None:  # it may stay where it was reached
             return is_recent and self._former.get(self._shown) is False
-        return is_recent and self._shows_own(self._pursuit)
+        return is_recent and self._shows_own(self.pursuit)
 
-    def _ending(self, pursuit: _Pursuit) -> tuple[Outcome, str] | None:
+    def _ending(self, pursuit: Pursuit) -> tuple[Outcome, str] | None:
         """Return how the goal ends and why, None while it goes on."""
         limit, report, now = self._settings.controller_timeout, self._report, self._now
         if now - max(self._heard_at, pursuit.began_at) > limit:
@@ -303,7 +283,7 @@ class GoalClient:
         return None
 
     def _ending_of_cancelled(
-        self, pursuit: _Pursuit, report: GoalReport, cancelled_at: float
+        self, pursuit: Pursuit, report: GoalReport, cancelled_at: float
     ) -> tuple[Outcome, str] | None:
         # A busy controller may take it late, and would move then.
         is_under_way = (
@@ -321,7 +301,7 @@ class GoalClient:
             return Outcome.ABORTED, f"{report.mode}, for {longest:g} s"
         return None
 
-    def _is_over(self, pursuit: _Pursuit) -> bool:
+    def _is_over(self, pursuit: Pursuit) -> bool:
         """Return whether the stage has been reached and the pause is over, or it is missed."""
         report = self._report
         if report is None or report is not pursuit.newest or pursuit.cancelled_at is not None:
@@ -335,14 +315,14 @@ class GoalClient:
             pursuit.missed += (Missed(pursuit.stage, report.cause, reason),)
         return bool(reason)
 
-    def _go_on(self, pursuit: _Pursuit) -> None:
+    def _go_on(self, pursuit: Pursuit) -> None:
         """Begin the next stage, or end the goal after the last one."""
         missed = pursuit.missed
         if pursuit.reached_at is None and missed[-1].cause not in OF_THE_WAY:
             self._end(Outcome.ABORTED, missed[-1].reason)  # another stage is no better
         elif (message := next(pursuit.stages, None)) is not None:
             self._keep(pursuit)
-            self._pursuit = replace(
+            self.pursuit = replace(
                 pursuit, message=message, stamp=self._new_stamp(), began_at=self._now,
                 patience=Patience(self._settings.no_progress_timeout), shown_at=self._now,
                 stage=pursuit.stage + 1, sent_at=None, reached_at=None, newest=None,
@@ -355,12 +335,12 @@ class GoalClient:
 
     def _end(self, outcome: Outcome, reason: str) -> None:
         """End the goal in force, if there is one."""
-        pursuit, self._pursuit = self._pursuit, None
+        pursuit, self.pursuit = self.pursuit, None
         if pursuit is not None:
             self._keep(pursuit)
             self._ended.append(Ending(pursuit.goal, outcome, reason, pursuit.missed))
 
-    def _keep(self, pursuit: _Pursuit) -> None:
+    def _keep(self, pursuit: Pursuit) -> None:
         """Keep the stamp of a stage that is over."""
         self._former[stamp_text(pursuit.stamp)] = pursuit.reached_at is not None
         if len(self._former) > _MAX_EARLIER_GOALS:
@@ -374,6 +354,6 @@ class GoalClient:
     def _shows_former(self) -> bool:
         return self._shown in self._former
 
-    def _shows_own(self, pursuit: _Pursuit) -> bool:
+    def _shows_own(self, pursuit: Pursuit) -> bool:
         """Return whether the newest status shows a goal of this client."""
         return self._shows_former() or self._shown == stamp_text(pursuit.stamp)

@@ -12,7 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sphere_nmpc.model.error_state import SIGNIFICANT_DEVIATIONS, apply_error, error_between
+from sphere_nmpc.model.error_state import (
+    CONTRADICTING_DEVIATIONS,
+    SIGNIFICANT_DEVIATIONS,
+    apply_error,
+    error_between,
+)
 from sphere_nmpc.model.goal import STANDING, Goal
 from sphere_nmpc.model.state import Vector, angle_error, position_error
 
@@ -27,8 +32,6 @@ _MIN_SPACING = 0.04
 """Least time between goals that are kept [s], but for the newest one."""
 _MIN_GOALS_FOR_RATE = 3
 """Number of goals from which on a rate and their noise are estimated."""
-_DEVIATIONS_OF_CHANGE = 6.0
-"""Standard deviations [-] from the line at which the goal moves in another way."""
 _LEAST_NOISE = np.array([2e-4, 1e-3])
 """Least standard deviation of goals [m, rad]: that of rounded numbers."""
 _PARTS = (slice(0, 2), slice(2, 5))
@@ -128,4 +131,4 @@ class GoalMotion:
         if len(left) <= _MIN_GOALS_FOR_RATE:
             return False
         newest = [float(np.linalg.norm(left[-1, part])) for part in _PARTS]
-        return bool(np.any(np.array(newest) > _DEVIATIONS_OF_CHANGE * self._noise))
+        return bool(np.any(np.array(newest) > CONTRADICTING_DEVIATIONS * self._noise))

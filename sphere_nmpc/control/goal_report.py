@@ -25,50 +25,38 @@ _KEYS = "goal_stamp", "goal_index", "mode", "plans", "total_time_left_s", "total
 
 @dataclass(frozen=True)
 class GoalReport:
-    """What a status of the controller says about its goals.
-
-    Attributes
-    ----------
-    stamp : str
-        Stamp of the message that brought the goals in force; empty without any.
-    index, count : int
-        Which of them is aimed at, from 0 on, and their number; 0 where it is not known.
-    mode : str
-        Value of the `Kind` that is the controller's mode.
-    at_rest : bool
-        Whether no rotor moves any more.
-    plans : int
-        Number of new plans since the controller was started.
-    time : float
-        Control time [s].
-    time_left, distance_left : float
-        Time [s] and path [m] to the goal aimed at; nan where they are not known.
-    total_time_left, total_distance_left : float
-        The same to the last of the goals.
-    unreachable : str
-        Value of the `Kind` of unreachable goals, empty where the goal may be reached.
-    obstacle : str
-        What keeps the sphere from its goal; empty where that is said by the mode.
-    deviation, heading_error, speed : float
-        Of a path that is followed what `Tracking` has [m, rad, m/s]; nan where there is none.
-    """
+    """What a status of the controller says about its goals."""
 
     stamp: str = ""
+    """Stamp of the message that brought the goals in force; empty without any."""
     index: int = 0
+    """Which of the goals is aimed at, from 0 on."""
     count: int = 0
+    """Number of the goals; 0 where it is not known."""
     mode: str = ""
+    """Value of the `Kind` that is the controller's mode."""
     at_rest: bool = False
+    """Whether no rotor moves any more."""
     plans: int = 0
+    """Number of new plans since the controller was started."""
     time: float = math.nan
+    """Control time [s]."""
     time_left: float = math.nan
+    """Time to the goal aimed at [s]; nan where it is not known."""
     distance_left: float = math.nan
+    """Path to the goal aimed at [m]; nan where it is not known."""
     total_time_left: float = math.nan
+    """Time to the last of the goals [s]."""
     total_distance_left: float = math.nan
+    """Path to the last of the goals [m]."""
     unreachable: str = ""
+    """Value of the `Kind` of unreachable goals, empty where the goal may be reached."""
     obstacle: str = ""
+    """What keeps the sphere from its goal; empty where that is said by the mode."""
     deviation: float = math.nan
     heading_error: float = math.nan
     speed: float = math.nan
+    """Deviation, heading error and speed as in `Tracking` [m, rad, m/s]; nan without a path."""
 
     @classmethod
     def of(cls, values: Mapping[str, str]) -> "GoalReport":

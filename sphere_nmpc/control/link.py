@@ -1,111 +1,21 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands on their way to the rotors, and poses on their way back.
-
-Each command joins the one in force, within the limits of the drives, and ends at rest.
-"""
+"""Commands on their way to the rotors, and poses on their way back."""
 
 import math
 from collections import deque
 
 import numpy as np
 
-from sphere_nmpc.control.timing import MOST_AHEAD
 from sphere_nmpc.estimation.rotor_history import LONGEST_WINDOW, RotorHistory
-from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE
-from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.reporting.recent import Recent
 
-REACH = 3.0
-"""Time after which a command that is not renewed stops [s]."""
 _MAX_POSES = 256
 """Poses that delay and loss are taken of."""
 _MIN_LINK_DELAY = 5e-3
 """Delay of poses [s] below which there is no link, only the time that a message takes."""
 _MAX_LOSS = 0.01
 """Share of lost commands up to which the link counts as without losses."""
-
-
-class Commands:
-    """Holds that were sent, and those that can follow.
-
-    Times are control times [s].
-
-    Parameters
-    ----------
-    robot : RobotParameters
-        Limits of the drives.
-    """
-
-    def __init__(self, robot: RobotParameters) -> None:
-        self._max_speed = robot.max_rotor_speed
-        self._max_acceleration = robot.max_rotor_acceleration
-        self.rotors = RotorHistory(robot.max_rotor_acceleration)
-        """History of the holds sent."""
-        self._begun: FirstOrderHold | None = None
-        self._stops = False
-        self._newest: FirstOrderHold | None = None
-        self._renewed_at = -math.inf
-
-    def in_force(self, time: float) -> FirstOrderHold:
-        """Return the hold in force from `time` on; before the first one rest."""
-        newest = self.rotors.newest
-        hold = FirstOrderHold.constant(time, np.zeros(INPUT_SIZE)) if newest is None else newest
-        return hold.starting_at(time, self.rotors.at(time))
-
-    def stop(self, time: float) -> FirstOrderHold:
-        """Return the hold from `time` on that comes to rest on the path of the one in force."""
-        in_force = self.in_force(time)
-        if self._stops and self._newest is not None and self._newest is self.rotors.newest:
-            return in_force
-        return in_force.stop(time, self._max_acceleration)
-
-    def rest_of(self, hold: FirstOrderHold, time: float) -> FirstOrderHold | None:
-        """Return the rest of the newest command from `time` on if it follows a hold, else None.
-
-        It is None as well where the stop at its end has come near, or its end within the shortest
-        interval.
-        """
-        newest = self.rotors.newest
-        if hold is not self._begun or newest is None or newest is not self._newest:
-            return None
-        if time > self._renewed_at or 0.0 < newest.end - time <= SHORTEST:
-            return None
-        time = round(time * NANOSECONDS) / NANOSECONDS  # on the line between two knots
-        return newest.starting_at(time, newest.at(time), SHORTEST)
-
-    def begin(self, hold: FirstOrderHold, sent: FirstOrderHold, stops: bool) -> None:
-        """Begin to follow a hold by what is sent; `stops` says whether it is a stop."""
-        self._begun, self._stops = hold, stops
-        self._renewed_at = sent.start + 0.5 * REACH
-
-    def record(self, sent: FirstOrderHold) -> None:
-        """Record a command as sent."""
-        self.rotors.record(sent)
-        self._newest = sent
-
-    def earliest(self, now: float) -> float:
-        """Return the time at which a command can start: the clock may be slightly late."""
-        newest = self.rotors.newest
-        is_near = newest is not None and now <= newest.start <= now + MOST_AHEAD
-        return newest.start if newest is not None and is_near else now
-
-    def joined(
-        self, hold: FirstOrderHold, start: float, period: float, reach: float = REACH
-    ) -> FirstOrderHold:
-        """Return the hold from the speeds in force at `start` on, within all limits, to rest.
-
-        It stops on its path `reach` [s] or two control periods `period` [s] later: a robot that
-        gets no further command must not roll on.
-        """
-        last = start + max(reach, 2.0 * period)
-        led = self.rotors.leading_to(hold, start)
-        if led.end > last:
-            led = led.stop(last, self._max_acceleration)
-        limited = led.in_nanoseconds().limited(self._max_speed, self._max_acceleration)
-        return limited.stop(limited.end, self._max_acceleration)
 
 
 class Link:

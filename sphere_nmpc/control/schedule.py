@@ -42,21 +42,14 @@ class TimedPose:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """A plan that is due.
-
-    Attributes
-    ----------
-    instant : float
-        Control time that the plan is made for [s].
-    now : float
-        Control time at which planning begins [s].
-    time_budget : float
-        Wall time that the plan may take [s].
-    """
+    """A plan that is due."""
 
     instant: float
+    """Control time that the plan is made for [s]."""
     now: float
+    """Control time at which planning begins [s]."""
     time_budget: float
+    """Wall time that the plan may take [s]."""
 
 
 class Schedule:

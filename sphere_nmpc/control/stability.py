@@ -29,36 +29,20 @@ from sphere_nmpc.model.state import Vector
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Quantities of the monitor at a sampling instant.
-
-    Attributes
-    ----------
-    time : float
-        Control time [s].
-    state : ndarray, shape (6,)
-        x(k).
-    goal : ndarray, shape (6,)
-        x_d with the quaternion sign that the plan tracks.
-    value : float
-        V*(k), the optimal cost in the units of Eq. (24); nan where the solve failed.
-    next_input : ndarray, shape (2,)
-        u(k+1), the rotor speeds at the next sampling instant [rad/s].
-    input_weight : float
-        alpha [s^2/rad^2].
-    terminal_weight : float
-        beta [-], above 1.
-    max_speed : float
-        u_max [rad/s].
-    """
+    """Quantities of the monitor at a sampling instant."""
 
     time: float
+    """Control time [s]."""
     state: Vector
+    """State x(k), shape (6,)."""
     goal: Vector
+    """Goal x_d with the quaternion sign that the plan tracks, shape (6,)."""
     value: float
+    """Optimal cost V*(k) in the units of Eq. (24); nan where the solve failed."""
     next_input: Vector
-    input_weight: float
-    terminal_weight: float
-    max_speed: float
+    """Rotor speeds u(k+1) at the next sampling instant [rad/s], shape (2,)."""
+    weights: tuple[float, float, float]
+    """Alpha [s^2/rad^2], beta [-], above 1, and the largest rotor speed u_max [rad/s]."""
 
     @property
     def square_error(self) -> float:
@@ -68,48 +52,30 @@ class Sample:
     @property
     def stage_cost(self) -> float:
         """l(x(k), u(k+1)) (Eq. 34)."""
-        return self.square_error + self.input_weight * float(np.sum(self.next_input**2))
+        return self.square_error + self.weights[0] * float(np.sum(self.next_input**2))
 
     @property
     def inside(self) -> bool:
         """Whether the state is in the neighbourhood D of Remark 5."""
         return math.sqrt(self.square_error) < neighbourhood_radius(*self.weights)
 
-    @property
-    def weights(self) -> tuple[float, float, float]:
-        """Alpha, beta and u_max."""
-        return self.input_weight, self.terminal_weight, self.max_speed
-
 
 @dataclass(frozen=True)
 class StabilityReport:
-    """Assessment of the transition that led to the newest sample.
+    """Assessment of the transition that led to the newest sample."""
 
-    Attributes
-    ----------
-    time : float
-        Control time of the newest sample [s].
-    value_change : float
-        V*(k+1) - V*(k); nan for the first sample at a goal.
-    allowed_change : float
-        -l(x(k), u(k+1)), the largest change that Eq. (42) allows; nan likewise.
-    inside : bool
-        Whether the newest state is in the neighbourhood D of Remark 5.
-    judged : int
-        Transitions assessed since the start: those that began outside D.
-    violations : int
-        Number of these that violated Eq. (42).
-    not_nearer : int
-        Number of these with |x(k+1) - x_d| >= |x(k) - x_d|, which violates nothing.
-    """
-
-    time: float
     value_change: float
+    """Change V*(k+1) - V*(k); nan for the first sample at a goal."""
     allowed_change: float
+    """Largest change that Eq. (42) allows, -l(x(k), u(k+1)); nan likewise."""
     inside: bool
+    """Whether the newest state is in the neighbourhood D of Remark 5."""
     judged: int
+    """Transitions assessed since the start: those that began outside D."""
     violations: int
+    """Number of these that violated Eq. (42)."""
     not_nearer: int
+    """Number of these with |x(k+1) - x_d| >= |x(k) - x_d|, which violates nothing."""
 
 
 def neighbourhood_radius(input_weight: float, terminal_weight: float, max_speed: float) -> float:
@@ -150,5 +116,5 @@ class StabilityMonitor:
                 self._not_nearer += int(sample.square_error >= last.square_error)
         inside = usable and sample.inside
         return StabilityReport(
-            sample.time, change, allowed, inside, self._judged, self._violations, self._not_nearer
+            change, allowed, inside, self._judged, self._violations, self._not_nearer
         )

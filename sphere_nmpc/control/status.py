@@ -77,7 +77,7 @@ class ControllerStatus:
                 time, settings.units.scaled(state[POSE]), settings.units.scaled(goal),
                 decision.plan.made.cost,
                 decision.plan.hold.at(time + settings.period),
-                settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed,
+                (settings.alpha, settings.terminal_weight, self._robot.max_rotor_speed),
             )
         )
 
@@ -91,7 +91,7 @@ class ControllerStatus:
             self._counted, self._effort = active.course.origin, np.zeros(2)
         if -math.inf < last < time:
             plant = controller.estimator.plant.constants
-            self._effort += controller.sending.effort(last, time, pose, plant)
+            self._effort += controller.commands.effort(last, time, pose, plant)
         self._evaluated_at = time
         self._controllability = controllability(pose, controller.estimator.plant.constants)
 
@@ -100,7 +100,7 @@ class ControllerStatus:
     ]:
         """Return the values of the instant `time` [s], decided within `duration` [s]."""
         self._evaluate(decision, time)
-        plan, controller = decision.plan, self._controller
+        plan, controller, stability = decision.plan, self._controller, self._stability
         return {
             "time_s": f"{time:.9g}",
             "mode": decision.mode.value,
@@ -138,7 +138,12 @@ class ControllerStatus:
             "no_progress": next(
                 (text for kind, text, _ in decision.conditions if kind is Kind.NO_PROGRESS), ""
             ),
-            **self._stability_values(),
+            **({} if stability is None else {
+                "value_change": stability.value_change,
+                "value_change_allowed": stability.allowed_change,
+                "stability_steps": stability.judged,
+                "stability_violations": stability.violations,
+            }),
             "distance_to_gamma_rad": self._controllability.distance_to_circle,
             "smallest_singular_value": self._controllability.smallest_singular_value,
             "pose_delay_s": controller.link.pose_delay,
@@ -179,17 +184,6 @@ class ControllerStatus:
             values[f"{name}_deviation"] = deviation
         return {**values, "learnt_noise": plant.noise, "learnt_lag_s": plant.lag}
 
-    def _stability_values(self) -> dict[str, Any]:
-        report = self._stability
-        if report is None:
-            return {}
-        return {
-            "value_change": report.value_change,
-            "value_change_allowed": report.allowed_change,
-            "stability_steps": report.judged,
-            "stability_violations": report.violations,
-        }
-
 
 def goals_in_force(active: ActiveCourse | None, active_goal: int) -> dict[str, Any]:
     """Return the status values that name the goals, and what the one aimed at demands.
@@ -223,21 +217,17 @@ def momentum_values(
         saturation = time_to_saturation(
             momentum, disturbance, goal[QUATERNION], robot.max_rotor_speed
         )
+    slope_x, slope_y = disturbance.slope.tolist()
     in_newton = robot.rotor_axial_inertia * momentum
     return {
         **{f"momentum_{axis}": value
            for axis, value in zip("xyz", in_newton.tolist(), strict=True)},
         "slope_deg": math.degrees(angle_of_slope(robot, disturbance.slope)),
-        "slope_direction_deg": math.degrees(_downhill(disturbance.slope)),
+        # Downhill is perpendicular to the torque. Subtracted from 0, as -0.0 gives an angle of -0.
+        "slope_direction_deg": math.degrees(math.atan2(0.0 - slope_x, slope_y)),
         **{f"mass_offset_{axis}_mm": value
            for axis, value in zip("xyz", offset.tolist(), strict=True)},
         "rest_speed_1": speeds[0],
         "rest_speed_2": speeds[1],
         "saturation_s": saturation,
     }
-
-
-def _downhill(slope: Vector) -> float:
-    """Return the downhill direction [rad from the x axis] of a slope's torque; 0 without one."""
-    # The torque is perpendicular to it. Subtracted from 0, as -0.0 gives an angle of -0.
-    return math.atan2(0.0 - float(slope[0]), float(slope[1]))

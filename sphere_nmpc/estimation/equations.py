@@ -25,14 +25,13 @@ from sphere_nmpc.estimation.posterior import (
     KNOT,
     LOCAL,
     NORMAL,
-    POSE_ERROR,
     TIGHT,
     PoseNoise,
     Scaling,
     apply_knot_error,
     knot_error,
 )
-from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.error_state import POSE_ERROR, error_between
 from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
 _PRIOR_ERRORS = 10.0
@@ -45,25 +44,17 @@ _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What older intervals contribute on a knot and the common unknowns: a Gaussian near a point.
-
-    Attributes
-    ----------
-    knot, common : ndarray, shapes (11,) and (9,)
-        The point.
-    information : ndarray, shape (19, 19)
-        Inverse covariance of the local unknowns, for any imbalance and drives.
-    gradient : ndarray, shape (19,)
-        Gradient there of half the cost.
-    scale : float
-        Scale of the noise's variance to expect.
-    """
+    """What older intervals contribute on a knot and the common unknowns: a Gaussian at a point."""
 
     knot: Vector
     common: Vector
+    """Point: knot and common unknowns, shapes (11,) and (9,)."""
     information: Vector
+    """Inverse covariance of the local unknowns, for any imbalance and drives, shape (19, 19)."""
     gradient: Vector
+    """Gradient there of half the cost, shape (19,)."""
     scale: float
+    """Scale of the noise's variance to expect."""
 
     def blurred(self, factor: Vector) -> "Prior":
         """Return the prior with a covariance F F^T more; `factor` F has shape (19, K)."""
@@ -211,18 +202,6 @@ class NormalEquations:
 
     Poses within an interval are not used where an event happened, as its time is unknown, nor in
     the interval `without`.
-
-    Attributes
-    ----------
-    step : ndarray, shape (10 n + 19,)
-        Gauss-Newton step of the decision variables.
-    cost : float
-        -2 log of the probability of the poses after it, up to a constant.
-    whitened : ndarray, shape (n, 10)
-        Steps at the ends of the intervals without an event that it leaves, over their standard
-        deviations.
-    noise : ndarray, shape (n, 5)
-        Errors of predicted poses in these steps [m, rad], without what drives differ by.
     """
 
     def __init__(
@@ -272,16 +251,22 @@ class NormalEquations:
         cost += 2.0 * float(np.sum(np.log(TIGHT / given.scaling.deviations[fixed])))
         # SciPy's triangular solver is faster, but its import takes as long as all others here.
         self.step: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
+        """Gauss-Newton step of the decision variables, shape (10 n + 19,)."""
         self._keep_range(given)
         self._factor: Vector = np.asarray(np.linalg.cholesky(self.information))
         known = 2.0 * float(np.sum(np.log(np.diag(self._factor))))
         change = 2.0 * self.gradient + self.information @ self.step
         self.cost = cost + float(change @ self.step) + known
+        """Cost after the step: -2 log of the probability of the poses, up to a constant."""
         kept = [k for k, event in enumerate(hypothesis.events) if event is Event.NONE]
-        moved = np.array([self._local(KNOT * k, 2 * KNOT) for k in kept]).reshape(-1, _BLOCK, 1)
+        knots, common = self.step[:-COMMON].reshape(-1, KNOT), self.step[-COMMON:]
+        moved = np.hstack((knots[:-1], knots[1:], np.tile(common, (count, 1))))[kept, :, None]
         self.whitened: Vector = (errors[kept] + jacobians[kept] @ moved)[:, :, 0]
+        """Steps that are left at the ends of the intervals without an event, over their standard
+        deviations, shape (n, 10)."""
         deviations = np.sqrt(scale * given.variances[kept])
         self.noise: Vector = deviations[:, None] * self.whitened[:, POSE_ERROR]
+        """Errors of predicted poses in these steps [m, rad], shape (n, 5), but by the drives."""
 
     def _keep_range(self, given: Linearisation) -> None:
         """Change the step so that common unknowns which would leave their range end at its end."""
@@ -306,9 +291,6 @@ class NormalEquations:
         self.information[common, common] += information[width:, width:]
         self.gradient[knots] += gradient[:width]
         self.gradient[common] += gradient[width:]
-
-    def _local(self, begin: int, width: int) -> Vector:
-        return np.concatenate((self.step[begin : begin + width], self.step[-COMMON:]))
 
     def next_scale(self) -> float:
         """Return the scale of the noise that the errors after the step show, at least 1."""

@@ -20,7 +20,6 @@ from sphere_nmpc.estimation.posterior import (
     KNOT,
     LAG,
     MOMENTUM_ERROR,
-    POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
     TIGHT,
@@ -28,6 +27,7 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
 )
 from sphere_nmpc.estimation.settings import EstimatorSettings
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import Vector
 
 _NOISES = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
@@ -50,39 +50,26 @@ class Event(Enum):
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Labels of the intervals of the window.
-
-    Attributes
-    ----------
-    events : tuple of Event
-        One for each interval, oldest first.
-    unbalanced : bool
-        Whether there is an imbalance; otherwise it is zero.
-    weak : bool
-        Whether the drives attain less than the acceleration limit.
-    weakened : bool
-        Whether they did before the window.
-    disturbed : bool
-        Whether there was momentum or slope before the window.
-    torques : bool
-        Whether slope and imbalance before the window are not those known from older intervals.
-    slippery : bool
-        Whether the sphere has slipped before the window, so that it will again.
-    renewed : bool
-        Whether the common unknowns are not those known from older intervals.
-    pose_noise : PoseNoise
-        Noise of the poses beyond that given.
-    """
+    """Labels of the intervals of the window."""
 
     events: tuple[Event, ...] = ()
+    """Label of each interval, oldest first."""
     unbalanced: bool = False
+    """Whether there is an imbalance; otherwise it is zero."""
     weak: bool = False
+    """Whether the drives attain less than the acceleration limit."""
     weakened: bool = False
+    """Whether the drives did before the window."""
     disturbed: bool = False
+    """Whether there was momentum or slope before the window."""
     torques: bool = False
+    """Whether slope and imbalance before the window are not those known from older intervals."""
     slippery: bool = False
+    """Whether the sphere has slipped before the window, so that it will again."""
     renewed: bool = False
+    """Whether the common unknowns are not those known from older intervals."""
     pose_noise: PoseNoise = EXACT
+    """Noise of the poses beyond that given."""
 
     def has_event(self, recent: int) -> bool:
         """Return whether there is an event in one of the newest intervals."""
@@ -148,17 +135,12 @@ class Hypothesis:
         )
 
     @property
-    def _noises(self) -> list["Hypothesis"]:
+    def noises(self) -> list["Hypothesis"]:
         """Hypotheses with other noises of the poses."""
         pose, time = self.pose_noise
         noises = [PoseNoise(one, time) for one in _NOISES]
         noises += [PoseNoise(pose, one) for one in _NOISES]
         return [replace(self, pose_noise=noise) for noise in noises]
-
-    @property
-    def gradual(self) -> list["Hypothesis"]:
-        """Hypotheses of what no single interval shows: another slope, noises of the poses."""
-        return [replace(self, torques=True), *self._noises]
 
     def alternatives(self, recent: int, momentum: bool) -> list[tuple[int | None, "Hypothesis"]]:
         """Return hypotheses that differ in one respect, with the interval of which the event does.
@@ -171,7 +153,7 @@ class Hypothesis:
             for kind in Event if momentum else (Event.NONE, Event.SLIPPED, Event.LATE):
                 changed = replace(self, events=(*events[:i], kind, *events[i + 1 :]))
                 found.append((i, changed))
-        others = self._noises
+        others = self.noises
         if self.has_event(recent):
             # Several events in a row look like noise, and noise like several events.
             others += [replace(one, events=(Event.NONE,) * len(events)) for one in others]

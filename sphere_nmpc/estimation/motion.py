@@ -29,28 +29,19 @@ _LAG_STEP = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Poses measured in an interval, and the rotor speeds that moved the sphere there.
-
-    Attributes
-    ----------
-    after : ndarray, shape (M,)
-        Times of the poses after the start of the interval [s]; the last one ends it.
-    poses : ndarray, shape (M, 6)
-        Measured poses.
-    durations : ndarray, shape (K,)
-        Lengths of the straight pieces of the rotor speeds [s], which go on beyond the end of the
-        interval by as much as stamps may be early.
-    inputs : ndarray, shape (K + 1, 2)
-        Rotor speeds at their ends [rad/s].
-    lead : float
-        Time from the start of the pieces to that of the interval [s]; at least the lag.
-    """
+    """Poses measured in an interval, and the rotor speeds that moved the sphere there."""
 
     after: Vector
+    """Times of the poses after the start of the interval [s], shape (M,); the last one ends it."""
     poses: Vector
+    """Measured poses, shape (M, 6)."""
     durations: Vector
+    """Lengths of the straight pieces of the rotor speeds [s], shape (K,), which go on beyond the
+    end of the interval by as much as stamps may be early."""
     inputs: Vector
+    """Rotor speeds at their ends [rad/s], shape (K + 1, 2)."""
     lead: float = 0.0
+    """Time from the start of the pieces to that of the interval [s]; at least the lag."""
 
     @property
     def duration(self) -> float:
@@ -120,37 +111,25 @@ def followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], li
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Predicted poses of an interval and knot at its end, linearised at a knot and common ones.
-
-    Attributes
-    ----------
-    interval : Interval
-        Measured poses, and the rotor speeds.
-    knot, common : ndarray, shapes (11,) and (9,)
-        Where it is linearised.
-    end : ndarray, shape (11,)
-        Knot predicted at the end.
-    by_unknowns : ndarray, shape (10, 19)
-        Derivative of its error by the local unknowns [knot, common].
-    innovations : ndarray, shape (M - 1, 5)
-        Measured minus predicted poses within the interval.
-    by_pose : ndarray, shape (M - 1, 5, 19)
-        Derivatives of these predictions.
-    rates : ndarray, shape (M + 1, 5)
-        Rates of the pose's error at the start and at the M poses [m/s, rad/s].
-    turned : float
-        Angle rolled, or that the rotors ask for where it ends as it began [rad].
-    """
+    """Predicted poses of an interval and knot at its end, linearised at a knot and common ones."""
 
     interval: Interval
+    """Measured poses, and the rotor speeds."""
     knot: Vector
     common: Vector
+    """Point of the linearisation: knot and common unknowns, shapes (11,) and (9,)."""
     end: Vector
+    """Knot predicted at the end, shape (11,)."""
     by_unknowns: Vector
+    """Derivative of its error by the local unknowns [knot, common], shape (10, 19)."""
     innovations: Vector
+    """Measured minus predicted poses within the interval, shape (M - 1, 5)."""
     by_pose: Vector
+    """Derivatives of these predictions, shape (M - 1, 5, 19)."""
     rates: Vector
+    """Rates of the pose's error at the start and at the M poses [m/s, rad/s], shape (M + 1, 5)."""
     turned: float
+    """Angle rolled, or that the rotors ask for where it ends as it began [rad]."""
 
 
 def pose_rate(

@@ -27,16 +27,14 @@ from sphere_nmpc.estimation.posterior import (
     IMBALANCE,
     KNOT,
     LOCAL,
-    POSE_ERROR,
     SHARE,
     SLOPE_ERROR,
     TIGHT,
     Posterior,
     Scaling,
-    with_block,
 )
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.model.error_state import error_between
+from sphere_nmpc.model.error_state import POSE_ERROR, error_between, with_block
 from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 
 _MAX_ITERATIONS = 6
@@ -258,7 +256,9 @@ class MovingHorizon:
         hypothesis, numbers = fit.hypothesis, self._numbers
         others = hypothesis.alternatives(numbers.recent, self._momentum)
         if simpler:
-            cost, likely = hypothesis.cost(numbers), hypothesis.gradual
+            # What no single interval shows: another slope, noises of the poses.
+            likely = [replace(hypothesis, torques=True), *hypothesis.noises]
+            cost = hypothesis.cost(numbers)
             if np.sum(fit.equations.whitened**2) < numbers.rare:
                 likely = []  # No event gains more than that.
             others = [one for one in others if one[1].cost(numbers) < cost or one[1] in likely]

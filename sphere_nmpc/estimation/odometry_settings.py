@@ -5,6 +5,7 @@
 import math
 from dataclasses import dataclass, replace
 
+from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.quantity import quantity, validate
 
@@ -78,7 +79,7 @@ class OdometryNumbers:
     """Noise density of the angular velocity by the balance of momentum [rad/s/sqrt(Hz)]."""
     blind: float = 1.0
     """Random walk of the orientation with neither gyro nor rotor speeds [rad/sqrt(s)]."""
-    push: float = 50.0
+    push: float = TABLE_1_NUMBERS.push
     """Standard deviation of the momentum of a push [rad/s]."""
     offset: float = 0.02
     """Standard deviation of the offset between the stamps of IMU and encoders [s]."""
@@ -112,8 +113,6 @@ class OdometryNumbers:
     bump takes less."""
     carried: float = 1.0
     """Random walk of the position of a sphere that has been lifted [m/sqrt(s)]."""
-    most_outliers: int = 4
-    """Fixes in a row that are left out as improbable; the next one is believed."""
 
     def improbable(self, components: int) -> float:
         """Return the normalised square that 1 valid measurement in 7000 exceeds (chi-squared)."""
@@ -132,5 +131,5 @@ class OdometryNumbers:
         )
 
 
-_IMPROBABLE_DISTANCES = (14.51, 17.76, 20.41, 22.79, 25.0)
+_IMPROBABLE_DISTANCES = (14.51, 17.76, 20.41, 22.79, TABLE_1_NUMBERS.improbable)
 """Normalised squares of 1 to 5 components that are improbable [-]."""

@@ -19,19 +19,20 @@ from sphere_nmpc.estimation.posterior import (
     KNOT,
     LOCAL,
     MOMENTUM_ERROR,
-    POSE_ERROR,
     SLOPE_ERROR,
     Posterior,
     Scaling,
-    with_block,
+    disturbance_of,
 )
 from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
 from sphere_nmpc.model.error_state import (
     ERROR_SIZE,
+    POSE_ERROR,
     apply_error,
     error_between,
     state_deviation,
+    with_block,
 )
 from sphere_nmpc.model.first_order_hold import SAME
 from sphere_nmpc.model.plant import PlantEstimate
@@ -42,25 +43,17 @@ from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """State and plant parameters at a sampling instant.
-
-    Attributes
-    ----------
-    state : ndarray, shape (9,)
-        Predicted state; its momentum is zero without evidence of any.
-    plant : PlantEstimate
-        Parameters of the plant; the same object until there are others.
-    covariance : ndarray of shape (5, 5), or None
-        Covariance of the error state: position [m; world frame], rotation vector [rad; body
-        frame]. None where poses are trusted exactly.
-    disturbance : Disturbance
-        Slope and imbalance, zero without evidence of any; the same object until there are others.
-    """
+    """State and plant parameters at a sampling instant."""
 
     state: Vector
+    """Predicted state, shape (9,); its momentum is zero without evidence of any."""
     plant: PlantEstimate
+    """Parameters of the plant; the same object until there are others."""
     covariance: Vector | None = None
+    """Covariance of the error state, shape (5, 5): position [m; world frame], rotation vector
+    [rad; body frame]. None where poses are trusted exactly."""
     disturbance: Disturbance = UNDISTURBED
+    """Slope and imbalance, zero without evidence; the same object until there are others."""
 
     @cached_property
     def uncertainty(self) -> float:
@@ -69,18 +62,12 @@ class Estimate:
 
 
 class Belief(NamedTuple):
-    """Gaussian distribution of the state at the time of a pose.
-
-    Attributes
-    ----------
-    state : ndarray, shape (9,)
-        Mean.
-    covariance : ndarray, shape (19, 19)
-        That of the local unknowns; of no meaning where poses are trusted exactly.
-    """
+    """Gaussian distribution of the state at the time of a pose."""
 
     state: Vector
+    """Mean, shape (9,)."""
     covariance: Vector
+    """Covariance of the local unknowns, (19, 19); without meaning where poses are exact."""
 
 
 @dataclass(eq=False)
@@ -128,8 +115,10 @@ class PoseFilter:
         self._plant, self._max_step, self.is_noisy = plant, max_step, is_noisy
         self._pose_deviations, self._pose_noise = pose_deviations, result.pose_noise
         self._noise_scale = result.scale
-        self.disturbance = result.slope_and_imbalance
-        """Slope and imbalance that it predicts with."""
+        self.disturbance = UNDISTURBED if result.undisturbed else disturbance_of(
+            result.knot, result.common
+        )
+        """Slope and imbalance that it predicts with; `UNDISTURBED` where they are zero."""
         state, covariance = result.knot[:STATE_SIZE].copy(), result.covariance
         zero = DISTURBANCE if result.undisturbed else DISTURBANCE[5:]
         if not result.unbalanced:

@@ -14,11 +14,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.settings import EstimatorSettings
-from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.error_state import ERROR_SIZE, apply_error, error_between
+from sphere_nmpc.model.disturbance import Disturbance
+from sphere_nmpc.model.error_state import (
+    ERROR_SIZE,
+    POSE_ERROR,
+    apply_error,
+    error_between,
+    with_block,
+)
 from sphere_nmpc.model.parameters import LumpedConstants
 from sphere_nmpc.model.state import MOMENTUM, POSE, POSE_SIZE, STATE_SIZE, Vector
 
@@ -27,7 +32,6 @@ LAG = CONSTANTS.stop
 SHARE, COMMON = LAG + 1, IMBALANCE.stop
 
 KNOT = ERROR_SIZE + 2
-POSE_ERROR = slice(0, 5)
 MOMENTUM_ERROR = slice(5, 8)
 SLOPE_ERROR = slice(8, 10)
 
@@ -52,18 +56,12 @@ plans are nearer to it."""
 
 
 class PoseNoise(NamedTuple):
-    """Noise of measured poses beyond that given.
-
-    Attributes
-    ----------
-    pose : float
-        Standard deviation of the pose [rad; over the radius in m].
-    time : float
-        Standard deviation of the stamp, the time at which it is said to be measured [s].
-    """
+    """Noise of measured poses beyond that given."""
 
     pose: float = 0.0
+    """Standard deviation of the pose [rad; over the radius in m]."""
     time: float = 0.0
+    """Standard deviation of the stamp, the time at which it is said to be measured [s]."""
 
 
 EXACT = PoseNoise()
@@ -75,15 +73,6 @@ def apply_knot_error(knot: Vector, error: Vector) -> Vector:
     return np.concatenate((state, knot[STATE_SIZE:] + error[ERROR_SIZE:]))
 
 
-def with_block(covariance: Vector, places: NDArray[np.intp] | slice, own: Vector) -> Vector:
-    """Return a covariance with another block at some places, independent of the others."""
-    found = covariance.copy()
-    found[places, :] = found[:, places] = 0.0
-    chosen = np.arange(len(found))[places]
-    found[np.ix_(chosen, chosen)] = own
-    return found
-
-
 def knot_error(knot: Vector, other: Vector) -> Vector:
     """Return the error, shape (10,), that leads from one knot to another."""
     error = error_between(knot[:STATE_SIZE], other[:STATE_SIZE])
@@ -92,21 +81,14 @@ def knot_error(knot: Vector, other: Vector) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Units and range of the common unknowns of a robot.
-
-    Attributes
-    ----------
-    nominal : LumpedConstants
-        Constants of the robot as built.
-    acceleration : float
-        Limit of the speeds sent [rad/s^2], which drives may not attain.
-    numbers : EstimatorSettings
-        Prior and noises.
-    """
+    """Units and range of the common unknowns of a robot."""
 
     nominal: LumpedConstants
+    """Constants of the robot as built."""
     acceleration: float
+    """Limit of the speeds sent [rad/s^2], which drives may not attain."""
     numbers: EstimatorSettings
+    """Prior and noises."""
 
     def prior(self, lag: float) -> Vector:
         """Return the prior mean, shape (9,), with an expected lag [s]."""
@@ -186,41 +168,28 @@ def disturbance_of(knot: Vector, common: Vector) -> Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Distribution of the newest knot and the common unknowns, and what it depends on.
-
-    Attributes
-    ----------
-    time : float
-        Control time of the knot [s].
-    knot, common : ndarray, shapes (11,) and (9,)
-        Mean.
-    covariance : ndarray, shape (19, 19)
-        That of the local unknowns. Those that are fixed have their prior variance.
-    undisturbed : bool
-        Whether momentum, slope and imbalance are zero.
-    unbalanced, weak : bool
-        Whether there is an imbalance, and whether drives attain less than the limit.
-    noise : float
-        Standard deviation of the errors of predicted poses, of each state [m, -].
-    scale : float
-        Scale of the noise's variance [-].
-    slipped : float
-        Number of intervals since the sphere has slipped; inf if it never has.
-    pose_noise : PoseNoise
-        Noise of the poses beyond that given.
-    """
+    """Distribution of the newest knot and the common unknowns, and what it depends on."""
 
     time: float
+    """Control time of the knot [s]."""
     knot: Vector
     common: Vector
+    """Mean of the knot and of the common unknowns, shapes (11,) and (9,)."""
     covariance: Vector
+    """Covariance of the local unknowns, (19, 19); what is fixed has its prior variance."""
     undisturbed: bool = True
+    """Whether momentum, slope and imbalance are zero."""
     unbalanced: bool = False
     weak: bool = False
+    """Whether there is an imbalance, and whether drives attain less than the limit."""
     noise: float = 0.0
+    """Standard deviation of the errors of predicted poses, of each state [m, -]."""
     scale: float = 1.0
+    """Scale of the noise's variance [-]."""
     slipped: float = np.inf
+    """Number of intervals since the sphere has slipped; inf if it never has."""
     pose_noise: PoseNoise = EXACT
+    """Noise of the poses beyond that given."""
 
     @classmethod
     def initial(cls, lag: float, scaling: Scaling) -> "Posterior":
@@ -241,16 +210,6 @@ class Posterior:
         except np.linalg.LinAlgError:
             return False
         return bool((np.diag(self.covariance) > 0.0).all())
-
-    @property
-    def disturbance(self) -> Vector:
-        """Momentum, slope and imbalance, shape (8,), at the places `DISTURBANCE`."""
-        return np.concatenate((self.knot[MOMENTUM.start :], self.common[IMBALANCE]))
-
-    @property
-    def slope_and_imbalance(self) -> Disturbance:
-        """Slope and imbalance; `UNDISTURBED` where they are zero."""
-        return UNDISTURBED if self.undisturbed else disturbance_of(self.knot, self.common)
 
     def with_lag(self, lag: float, scaling: Scaling) -> "Posterior":
         """Return the posterior with the prior of another lag [s] in place of its estimate."""
@@ -295,7 +254,8 @@ class Posterior:
         probable than other values (the Savage-Dickey ratio).
         """
         places = DISTURBANCE if self.unbalanced else DISTURBANCE[:5]
-        values, within = self.disturbance[: places.size], self.covariance[np.ix_(places, places)]
+        values = np.concatenate((self.knot[MOMENTUM.start :], self.common[IMBALANCE]))
+        values, within = values[: places.size], self.covariance[np.ix_(places, places)]
         square = float(values @ np.linalg.solve(within, values))
         wide = np.repeat([numbers.push, numbers.tilt, numbers.imbalance], [3, 2, 3])[: places.size]
         narrowed = float(np.linalg.slogdet(within)[1]) - 2.0 * float(np.sum(np.log(wide)))

@@ -4,11 +4,8 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 from sphere_nmpc.model.units import RobotUnits
-
-E = TypeVar("E", bound="EstimatorSettings")
 
 
 @dataclass(frozen=True)
@@ -82,14 +79,15 @@ class EstimatorSettings:
 
     # Poses that are wrong
     most_outliers: int = 4
-    """Noisy poses in a row that are left out as improbable; the next one is believed."""
+    """Poses, or fixes of the odometry, in a row that are left out as improbable; the next one is
+    believed."""
 
     @property
     def recent(self) -> int:
         """Number of newest intervals in which events are looked for: half of the window."""
         return self.window // 2
 
-    def of(self: E, units: RobotUnits) -> E:
+    def of(self, units: RobotUnits) -> "EstimatorSettings":
         """Return the numbers in the units of a robot."""
         torque, root = units.speed / units.time, math.sqrt(units.time)
         return replace(

@@ -19,18 +19,14 @@ _MAX_BYTES = 1_000_000
 """Size of a kept file: several times that of the longest list of goals."""
 
 
-def has_home() -> bool:
-    """Return whether this user has a home folder.
-
-    A bare user id in a container has none, and that of a system user, such as /nonexistent, does
-    not exist and is not to be made, not even by root.
-    """
-    return os.path.isdir(os.path.expanduser("~"))
-
-
 def cache_folder() -> Path:
-    """Return the user's folder for files that are kept between runs; see `own_folder`."""
-    base = os.environ.get("XDG_CACHE_HOME") or (has_home() and os.path.expanduser("~/.cache"))
+    """Return the user's folder for files that are kept between runs; see `own_folder`.
+
+    A bare user id in a container has no home, and that of a system user, such as /nonexistent,
+    does not exist and is not to be made, not even by root.
+    """
+    home = os.path.expanduser("~")
+    base = os.environ.get("XDG_CACHE_HOME") or (os.path.isdir(home) and f"{home}/.cache")
     if not base or not os.path.isabs(base):
         return Path(tempfile.gettempdir(), f"sphere_nmpc-{os.getuid()}")
     return Path(base, "sphere_nmpc")

@@ -9,6 +9,7 @@ after these, shape (8,).
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model import rotation
@@ -16,10 +17,13 @@ from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, STATE_SIZE, 
 
 ERROR_SIZE = STATE_SIZE - 1
 """Size of the error of a state: a rotation vector has a number less than a quaternion."""
+POSE_ERROR = slice(0, 5)
 EXPECTED_DEVIATIONS = 3.0
 """Standard deviations up to which an error is expected [-]."""
 SIGNIFICANT_DEVIATIONS = 4.0
 """Standard deviations from which on what is measured is no noise [-]."""
+CONTRADICTING_DEVIATIONS = 6.0
+"""Standard deviations beyond which what was given or known until now is contradicted [-]."""
 _ROUNDING_SHARE = 1e-6
 """Asymmetry and negative eigenvalues of a given covariance that count as rounding, over its
 largest variance [-]."""
@@ -39,6 +43,15 @@ def error_between(state: Vector, other: Vector) -> Vector:
         other[POSITION] - state[POSITION], rotation.logarithm(turn),
         other[MOMENTUM] - state[MOMENTUM],
     ))
+
+
+def with_block(covariance: Vector, places: NDArray[np.intp] | slice, own: Vector) -> Vector:
+    """Return a covariance with another block at some places, independent of the others."""
+    found = covariance.copy()
+    found[places, :] = found[:, places] = 0.0
+    chosen = np.arange(len(found))[places]
+    found[np.ix_(chosen, chosen)] = own
+    return found
 
 
 def place_deviation(covariance: Vector | None) -> float:

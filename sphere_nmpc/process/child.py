@@ -194,12 +194,6 @@ class Child:
         if self.code is not None:
             raise ChildEndedError(self)
 
-    def _ask_to_end(self) -> None:
-        if not self._with_channel:
-            self.send(signal.SIGINT)
-        elif self.pid:
-            self.channel.close()
-
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, number)
@@ -213,7 +207,10 @@ def stop_together(children: Sequence[Child], patience: float = _STOP_TIMEOUT) ->
     """
     for child in children:
         child.send(signal.SIGCONT)  # one that is stopped would not handle what follows
-        child._ask_to_end()
+        if not child._with_channel:
+            child.send(signal.SIGINT)
+        elif child.pid:
+            child.channel.close()
     for longest, number in ((patience, signal.SIGTERM), (0.5 * patience, signal.SIGKILL)):
         end = time.monotonic() + longest
         running = [child for child in children if child.running]

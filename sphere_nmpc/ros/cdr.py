@@ -349,11 +349,6 @@ def hold_and_stamp(raw: bytes, now: int, epoch: int = 0) -> tuple[FirstOrderHold
     return FirstOrderHold(times, speeds), trajectory.stamp
 
 
-def speeds_of_message(raw: bytes) -> Vector:
-    """Return the numbers of a serialised Float64MultiArray, shape (K,)."""
-    return read(raw, Numbers).numbers
-
-
 def rotor_speeds_and_stamp(raw: bytes) -> tuple[Vector | None, int]:
     """Return rotor speeds [rad/s], shape (2,), and stamp [ns] of a serialised JointState.
 

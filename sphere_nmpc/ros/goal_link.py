@@ -71,15 +71,15 @@ class GoalLink:
 
     def update(self) -> None:
         """Do what is due."""
-        publisher = self.publishers.get(type(self.client.message))
+        pursuit = self.client.pursuit
+        publisher = None if pursuit is None else self.publishers.get(type(pursuit.message))
         can_send = publisher is not None and publisher.get_subscription_count() > 0
         due = self.client.update(
             time.monotonic(), can_send, self._cancel_client.service_is_ready()
         )
-        if due.send:
-            message = self.client.message
-            message.header.stamp = stamp_to_ros(self.client.stamp)
-            self.publishers[type(message)].publish(message)
+        if due.send and (pursuit := self.client.pursuit) is not None:
+            pursuit.message.header.stamp = stamp_to_ros(pursuit.stamp)
+            self.publishers[type(pursuit.message)].publish(pursuit.message)
         if due.cancel:
             if self._answer is not None:
                 self._cancel_client.remove_pending_request(self._answer)

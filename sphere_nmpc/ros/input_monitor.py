@@ -21,9 +21,11 @@ from sphere_nmpc.ros.graph_monitor import (
     several_publishers,
 )
 
+CHECK_EVERY = 0.25
+"""Wall time between two checks of clock, messages and topics [s]."""
 SILENCE_LIMIT = 1.25
 """Silence after which a topic counts as missing [s, wall]. Nodes that start together have
-discovered each other by then, and with checks every half second faults are logged within two."""
+discovered each other by then, and with such checks faults are logged within two."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class InputMonitor:
     ) -> None:
         self._fault_log = fault_log
         self.graph = GraphMonitor(node, fault_log)
-        """Monitor of the graph, for further faults."""
+        """Monitor of the graph, which has the present faults."""
         self.watches = sources
         """Monitors of the messages, by their source."""
         self.topics = {source: node.resolve_topic_name(source.topic) for source in sources}
@@ -75,11 +77,6 @@ class InputMonitor:
         """Whether control time was the same at the check before."""
         self._time_changed_at = self._compared_at = time.monotonic()
         self._incompatible: list[Condition] = []
-
-    @property
-    def faults(self) -> tuple[Condition, ...]:
-        """The present faults, the worst first."""
-        return self.graph.faults
 
     @property
     def inexact_stamps(self) -> list[Condition]:

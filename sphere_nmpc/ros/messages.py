@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 
 from sphere_nmpc.errors import Description, InvalidInputError, InvalidStateError
 from sphere_nmpc.model import rotation
-from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.state import (
     FARTHEST,
     POSITION,
@@ -67,17 +66,6 @@ def framed_pose_from_ros(message: Any, frame: str = WORLD_FRAME) -> Vector:
     """Return the state, shape (6,), of a PoseStamped in the given frame or without one."""
     _check_frame(message.header.frame_id, frame)
     return pose_from_ros(message)
-
-
-def uncertain_pose_from_ros(message: Any, frame: str) -> tuple[Vector, Vector | None]:
-    """Return state, shape (6,), and covariance of its error of a PoseWithCovarianceStamped.
-
-    See `framed_pose_from_ros` and `error_covariance`; the height and its variance are ignored.
-    """
-    _check_frame(message.header.frame_id, frame)
-    pose = pose_from_ros(message.pose)
-    given = np.array(message.pose.covariance, dtype=float).reshape(6, 6)
-    return pose, error_covariance(pose, given)
 
 
 def framed_poses_from_ros(
@@ -145,17 +133,6 @@ def odometry_to_ros(
     if covariances is not None:
         message.pose.covariance, message.twist.covariance = (one.ravel() for one in covariances)
     return message
-
-
-def transform_from_pose(
-    message: PoseStamped, body_frame: str = BODY_FRAME
-) -> TransformStamped:
-    """Return the transform from the body to the frame of its pose."""
-    transform = TransformStamped(header=message.header, child_frame_id=body_frame)
-    place, shift = message.pose.position, transform.transform.translation
-    shift.x, shift.y, shift.z = place.x, place.y, place.z
-    transform.transform.rotation = message.pose.orientation
-    return transform
 
 
 def path_to_ros(

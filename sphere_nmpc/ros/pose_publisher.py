@@ -5,14 +5,14 @@
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.ros.cdr import BODY_FRAME
 from sphere_nmpc.ros.cdr_messages import pose_message
-from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros, transform_from_pose
+from sphere_nmpc.ros.messages import odometry_to_ros, pose_to_ros
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -63,7 +63,10 @@ class PosePublisher:
             )
             found.append((self._odometry, odometry))
         if self._transforms and self._transforms.get_subscription_count() > 0:
-            pose = pose_to_ros(shown, stamp, self._radius, self._world)
-            transform = transform_from_pose(pose, self._body)
+            message = pose_to_ros(shown, stamp, self._radius, self._world)
+            place, turn = message.pose.position, message.pose.orientation
+            transform = TransformStamped(header=message.header, child_frame_id=self._body)
+            transform.transform.translation = Vector3(x=place.x, y=place.y, z=place.z)
+            transform.transform.rotation = turn
             found.append((self._transforms, TFMessage(transforms=[transform])))
         return found

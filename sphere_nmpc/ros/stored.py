@@ -3,6 +3,7 @@
 """What a node stores on disk for its next run: the goals in force, or its last pose."""
 
 import os
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -14,28 +15,32 @@ from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.control_clock import ControlClock
 
 T = TypeVar("T")
+SAVE_EVERY = 1.0
+"""Wall time after which the present value is stored again [s]."""
 
 
 class Stored(Generic[T]):
     """Value that is stored again and again; that of the last run is restored once.
 
-    It is written by a thread of its own, since a disk may take longer than a control period.
-    `what` names it in the log, and `without` what a restart will do without it. Without a file
-    there is none.
+    It is written by a thread of its own, since a disk may take longer than a control period, to
+    the file that `memory` returns, one for each domain and full name of a node; for `keep` = 0 [s]
+    there is none. `what` names it, and `without` what a restart will do without it.
     """
 
     def __init__(
-        self, memory: KeptFile[T] | None, clock: ControlClock, fault_log: FaultLog, what: str,
-        without: str,
+        self, node: Node, memory: Callable[[Path, float], KeptFile[T]], keep: float,
+        clock: ControlClock, fault_log: FaultLog, what: str, without: str,
     ) -> None:
-        self._memory = memory
+        name = node.get_fully_qualified_name().strip("/").replace("/", ".")
+        file = f"{what}.{os.environ.get('ROS_DOMAIN_ID') or '0'}.{name}.json"
+        self._memory = memory(cache_folder() / file, keep) if keep > 0.0 else None
         self._what, self._without = what, without
         self._clock = clock
         self._fault_log = fault_log
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stored")
         self._written: Future[None] | None = None
         self.is_settled = False
-        """Whether what was stored has been restored or is superseded."""
+        """Whether what was stored has been restored, or is superseded as a new one was given."""
 
     def restore(self) -> tuple[T, float] | None:
         """Return what to continue with, and its age [s, wall].
@@ -52,10 +57,6 @@ class Stored(Generic[T]):
         except OSError as error:
             self._give_up(error)
             return None
-
-    def supersede(self) -> None:
-        """Do not restore it: a new one has been given."""
-        self.is_settled = True
 
     def save(self, value: T | None) -> None:
         """Begin to store a value, or that there is none."""
@@ -83,10 +84,3 @@ class Stored(Generic[T]):
         self._fault_log.report(
             f"{self._what} not kept", f"{error}; a restart will begin {self._without}"
         )
-
-
-def stored_file(node: Node, what: str) -> Path:
-    """Return the file for what a node stores, one for each domain and full name."""
-    name = node.get_fully_qualified_name().strip("/").replace("/", ".")
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    return cache_folder() / f"{what}.{domain}.{name}.json"

@@ -38,8 +38,8 @@ class WorkerProcess:
 
     def __init__(self, on_fault: Callable[[str], object]) -> None:
         self._on_fault = on_fault
-        self._pending: deque[Reply[Any]] = deque()
-        self._sizes: deque[int] = deque()
+        self._pending: deque[tuple[Reply[Any], int]] = deque()
+        """Replies that are awaited, and the sizes of their tasks [bytes]."""
         self._child: Child | None = None
         self._used: float | None = None
         self._patience: float
@@ -68,9 +68,9 @@ class WorkerProcess:
             return reply
         self._restart()
         child = self._child
-        full = len(self._pending) >= _MAX_PENDING
-        size = len(message.content)
-        if child is None or full or sum(self._sizes) + size > _MAX_PENDING_BYTES:
+        size, sizes = len(message.content), [one for _, one in self._pending]
+        full = len(sizes) >= _MAX_PENDING or sum(sizes) + size > _MAX_PENDING_BYTES
+        if child is None or full:
             reply.error = "the worker has ended" if child is None else "the worker is busy"
             return reply
         if not self._pending:
@@ -81,8 +81,7 @@ class WorkerProcess:
             self._replace(str(error))
             reply.error = "the worker has ended"
             return reply
-        self._pending.append(reply)
-        self._sizes.append(size)
+        self._pending.append((reply, size))
         return reply
 
     def poll(self) -> None:
@@ -91,14 +90,14 @@ class WorkerProcess:
         if child is None or not self._pending:
             return
         # Before the results are taken: it may have finished since.
-        silent, awaited = time.monotonic() - self._heard, self._pending[0]
+        silent, awaited = time.monotonic() - self._heard, self._pending[0][0]
         stuck = silent > self._patience and not self._waits()
         try:
             while self._pending:
                 result, error = _answer(child.channel)
                 self._heard, self._patience = time.monotonic(), _RESULT_TIMEOUT
                 self._used = None
-                reply, _ = self._pending.popleft(), self._sizes.popleft()
+                reply, _ = self._pending.popleft()
                 reply.result, reply.error, reply.ready = result, error, not error
                 if error:
                     self._on_fault(error)
@@ -162,8 +161,7 @@ class WorkerProcess:
 
     def _fail(self, why: str) -> None:
         while self._pending:
-            self._pending.popleft().error = why
-        self._sizes.clear()
+            self._pending.popleft()[0].error = why
 
 
 def _answer(channel: Channel) -> tuple[Any, str]:

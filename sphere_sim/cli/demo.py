@@ -55,7 +55,7 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
     parser.add_argument("--goal", nargs=6, type=finite, metavar=state,
                         help="goal in place of the case's [m, -]")
     parser.add_argument(
-        "--rtf", type=not_negative, default=1.0, metavar="F",
+        "--rtf", dest="real_time_factor", type=not_negative, default=1.0, metavar="F",
         help="simulated over wall time; 0: lockstep, as fast as the nodes can (default: 1)",
     )
     parser.add_argument("--lockstep", action="store_true",
@@ -63,7 +63,8 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
     parser.add_argument("--strategy", metavar="NAME",
                         help="what the controller solves: " + " or ".join(STRATEGIES))
     parser.add_argument(
-        "--set", type=assignment, nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+        "--set", dest="settings", type=assignment, nargs="+", action="extend", default=[],
+        metavar="NAME=VALUE",
         help="other settings as of sphere_nmpc study, such as horizon=8, plant=rigid_body or "
         "robot.shell_mass=1.5",
     )
@@ -71,23 +72,19 @@ def parse(arguments: Sequence[str] | None) -> DemoPlan:
                         help="of all that is random (default: 0)")
     parser.add_argument("--duration", type=positive, default=60.0, metavar="S",
                         help="simulated time after which to give up (default: 60)")
-    parser.add_argument("--out", type=Path, metavar="DIR",
+    parser.add_argument("--out", dest="folder", type=Path, metavar="DIR",
                         help="folder for bag, figure and summary (default: runs/<date and time>)")
-    parser.add_argument("--no-compare", action="store_true",
+    parser.add_argument("--no-compare", dest="compare", action="store_false",
                         help="leave out the other strategy, which is computed without ROS")
-    parser.add_argument("--no-viewer", action="store_true", help="show nothing in the browser")
+    parser.add_argument("--no-viewer", dest="viewer", action="store_false",
+                        help="show nothing in the browser")
     given = parser.parse_args(arguments)
-    out = given.out or Path("runs") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
+    out = given.folder or Path("runs") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
+    given.folder = out.expanduser().absolute()
+    given.strategy = given.strategy or ControllerSettings.strategy
+    given.viewer = given.viewer and sys.stdout.isatty()
     try:
-        return DemoPlan(
-            folder=out.expanduser().absolute(), case=given.case, start=given.start,
-            goal=given.goal, real_time_factor=given.rtf, lockstep=given.lockstep,
-            strategy=given.strategy or ControllerSettings.strategy, seed=given.seed,
-            settings=given.set,
-            duration=given.duration, compare=not given.no_compare,
-            viewer=not given.no_viewer and sys.stdout.isatty(),
-            interactive=sys.stdin.isatty(),
-        )
+        return DemoPlan(**vars(given), interactive=sys.stdin.isatty())
     except InvalidStateError as error:
         parser.error(f"--from, --goal: {error}")
     except InvalidParameterError as error:

@@ -36,7 +36,7 @@ from sphere_sim.study.single_run import assemble
 _AT_LEAST = 20.0
 """Shortest duration of the other run [s]: the paper's cases need up to 13."""
 _MANY_MISSED = 0.01
-"""Share of missed sampling instants from which on it is told."""
+"""Share of missed sampling instants from which on it is reported."""
 _ROWS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
     ("final error", "final_error", "{:.2e}".format),
     ("final distance", "final_position_error_m", length),

@@ -63,8 +63,8 @@ def run_demo(plan: DemoPlan, domain: int, console: Console) -> bool:
                 arrived = (
                     wait_until_settled(run, spin, plan.duration, linger=plan.linger) is not None
                 )
-            missed = number(session.status.values, "missed_ticks")
-            hints = hints_of(plan, missed, session.status.obstacle(), run.time)
+            missed = number(session.sender.values, "missed_ticks")
+            hints = hints_of(plan, missed, session.sender.obstacle(), run.time)
             session.pause(True)
             nodes.stop("recorder")
             if page and plan.stays:

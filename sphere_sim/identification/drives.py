@@ -156,9 +156,9 @@ def identified_drives(commands: Commands, measured: Series) -> Drives | None:
         free &= ~unseen
     if not left < _FOLLOWED * float(np.sqrt(np.mean(speeds**2))):
         return None
-    told = {
+    limits = {
         i: (float(value), float(deviation))
         for i, value, deviation in zip(chosen.tolist(), found, deviations, strict=True)
     }
     attained = min(commands.steepest, float(values[1])), largest
-    return Drives(told[0], told.get(1), told.get(2), attained, left)
+    return Drives(limits[0], limits.get(1), limits.get(2), attained, left)

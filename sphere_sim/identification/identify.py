@@ -16,6 +16,7 @@ from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
+from sphere_nmpc.quantity import quantities
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.identification.bag import Recorded
 from sphere_sim.identification.drives import Drives, identified_drives
@@ -49,8 +50,8 @@ _LONGEST_LAG = 0.05
 """Largest lag that the controller takes [s]."""
 _LEAST_RATE = 0.02
 """Angular velocity below which there is no motion that shows constants [rad/s]."""
-_LIMITS = (("max_rotor_acceleration", "rad/s^2"), ("max_rotor_speed", "rad/s"))
-"""Limits of the drives, and their units."""
+_LIMITS = ("max_rotor_acceleration", "max_rotor_speed")
+_NOISES = ("pose_position_noise", "pose_orientation_noise")
 AS_GIVEN = "not seen, as given"
 
 
@@ -82,6 +83,7 @@ class Row:
 class Identified:
     """Result: robot, table, parameters of nodes by their sections, and what the check found."""
 
+    given: Given
     robot: RobotParameters
     rows: list[Row] = field(default_factory=list)
     notes: dict[str, str] = field(default_factory=dict)
@@ -103,8 +105,8 @@ class Identified:
         """How much was seen, and the check, in a line."""
         seen = sum(bool(row.deviation) for row in self.rows)
         unseen = ", ".join(row.name for row in self.rows if not row.deviation)
-        told = f"; not seen, as given: {unseen}" if unseen else ""
-        return f"{seen} of {len(self.rows)} identified{told}{self.check}"
+        unknown = f"; not seen, as given: {unseen}" if unseen else ""
+        return f"{seen} of {len(self.rows)} identified{unknown}{self.check}"
 
     def add(
         self, name: str, unit: str, value: ArrayLike, deviation: ArrayLike | None,
@@ -117,6 +119,17 @@ class Identified:
         kept = numbers(value if deviation is not None else given)
         self.rows.append(Row(name, unit, kept, numbers(deviation), numbers(given), remark))
 
+    def add_parameter(
+        self, name: str, value: ArrayLike = 0.0, deviation: ArrayLike | None = None,
+        remark: str = "",
+    ) -> None:
+        """Add the row of a parameter, whose field has its unit and what is given."""
+        group, _, field_name = name.rpartition(".")
+        given = {"robot": self.given.robot, "imu": self.given.imu}
+        settings = given.get(group, self.given.controller)
+        unit = quantities(settings)[field_name].unit.removeprefix("-")
+        self.add(name, unit, value, deviation, getattr(settings, field_name), remark)
+
 
 def identified(
     recorded: Recorded, given: Given, distance: float | None = None, tape: float = 1e-3,
@@ -128,7 +141,7 @@ def identified(
     [m]; poses are then those of an odometry. `InvalidInputError` is raised where the recording
     has not what is needed.
     """
-    found = Identified(given.robot)
+    found = Identified(given, given.robot)
     late, fastest = 0.0, float(np.max(np.abs(recorded.rotor_speeds.values), initial=0.0))
     if distance is not None:
         _of_distance(found, recorded, distance, tape)
@@ -143,9 +156,9 @@ def identified(
             "some that roll the sphere to all sides, as of examples/identification_motion.py",
         )
     elif recorded.are_outside:
-        late = _of_poses(found, recorded, given, progress)
+        late = _of_poses(found, recorded, progress)
     elif recorded.readings is not None:
-        _of_inside(found, recorded, recorded.readings, given, progress)
+        _of_inside(found, recorded, recorded.readings, progress)
     else:
         raise InvalidInputError(
             "poses", Description("none from outside, and no readings of an IMU"),
@@ -157,19 +170,17 @@ def identified(
         drives = identified_drives(recorded.commands, recorded.rotor_speeds)
         why = "rotor speeds do not follow the commands"
     if drives is not None:
-        _of_drives(found, drives, given, late)
+        _of_drives(found, drives, late)
     else:
         found.add("lag of the drives", "s", 0.0, None, given.controller.drive_lag, why)
-        for name, unit in _LIMITS:
-            found.add(f"robot.{name}", unit, 0.0, None, getattr(given.robot, name), why)
+        for name in _LIMITS:
+            found.add_parameter(f"robot.{name}", remark=why)
     return found
 
 
-def _of_poses(
-    found: Identified, recorded: Recorded, given: Given, progress: Callable[[str], None]
-) -> float:
+def _of_poses(found: Identified, recorded: Recorded, progress: Callable[[str], None]) -> float:
     """Add what poses from outside show; return by how much their stamps are late [s]."""
-    fit = BatchFit(recorded, given.robot)
+    fit = BatchFit(recorded, found.given.robot)
     count = len(fit.pieces)
     if count < _FEWEST:
         raise InvalidInputError(
@@ -193,23 +204,19 @@ def _of_poses(
             "; what is left lasts from pose to pose: no noise of poses, but friction, slip, "
             "smoothing or encoders"
         )
-    _add_constants(found, fit, estimate, given)
+    _add_constants(found, fit, estimate)
     # Of a median, which is 1.25 times that of a mean.
-    noise = 1.25 * estimate.noise / math.sqrt(recorded.times.size)
-    names = ("pose_position_noise", "pose_orientation_noise")
-    for name, unit, value, deviation in zip(
-        names, ("m", "rad"), estimate.noise, noise / np.sqrt((4.0, 6.0)), strict=True
-    ):
-        found.add(name, unit, value, deviation, getattr(given.controller, name))
+    noise = 1.25 * estimate.noise / math.sqrt(recorded.times.size) / np.sqrt((4.0, 6.0))
+    for name, value, deviation in zip(_NOISES, estimate.noise, noise, strict=True):
+        found.add_parameter(name, value, deviation)
         found.controller[name] = Entry(_rounded(value, 3), "what the motion leaves of the poses")
     if recorded.readings is not None:
         try:
-            _add_mounting(found, fit, estimate, recorded.readings, given, progress)
+            _add_mounting(found, fit, estimate, recorded.readings, progress)
         except InvalidInputError as error:
             progress(f"IMU: {error}")
-            for name, unit in (("imu.position", "m"), ("imu.orientation", "")):
-                kept = getattr(given.imu, name.removeprefix("imu."))
-                found.add(name, unit, 0.0, None, kept)
+            for name in ("imu.position", "imu.orientation"):
+                found.add_parameter(name)
     return -float(estimate.common[OFFSET])
 
 
@@ -217,13 +224,11 @@ def _errors(left: Vector) -> str:
     return f"{1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad"
 
 
-def _add_constants(
-    found: Identified, fit: BatchFit, estimate: Estimate, given: Given
-) -> None:
+def _add_constants(found: Identified, fit: BatchFit, estimate: Estimate) -> None:
     """Add constants, offset of the stamps, slope and centre of mass."""
     shown = estimate.seen[:4] * fit.nominal
     covariance = estimate.covariance[:4, :4] * np.outer(shown, shown)
-    _change_robot(found, fit.constants(estimate.common), covariance, given)
+    _change_robot(found, fit.constants(estimate.common), covariance)
     deviations = estimate.deviations
     seen = deviations[OFFSET] if estimate.seen[OFFSET] else None
     found.add("offset of pose stamps", "s", -estimate.common[OFFSET], seen, 0.0,
@@ -236,24 +241,23 @@ def _add_constants(
               1e3 * torque * deviations[7:], remark="beside the centre of the shell")
 
 
-def _change_robot(
-    found: Identified, constants: Vector, covariance: Vector, given: Given
-) -> None:
+def _change_robot(found: Identified, constants: Vector, covariance: Vector) -> None:
     """Add constants with a covariance, (4, 4), zero of what is not seen, and change the robot."""
-    names, nominal = ("robot.shell_radius", "c1", "r1", "r3"), given.robot.lumped.as_array()
+    given = found.given.robot
+    names, nominal = ("robot.shell_radius", "c1", "r1", "r3"), given.lumped.as_array()
     for i, name in enumerate(names):
         deviation = math.sqrt(covariance[i, i]) or None
         found.add(name, "" if i else "m", constants[i], deviation, nominal[i])
     found.robot = _robot(given, constants)
-    told = deviations_of(given.robot, constants, covariance)
+    deviations = deviations_of(given, constants, covariance)
     for name in ("shell_radius", *CHANGED):
-        found.notes[name] = f"+- {told[name]:.2g}" if told[name] else AS_GIVEN
+        found.notes[name] = f"+- {deviations[name]:.2g}" if deviations[name] else AS_GIVEN
 
 
-def _robot(given: Given, constants: Vector) -> RobotParameters:
+def _robot(given: RobotParameters, constants: Vector) -> RobotParameters:
     """Return a robot with these constants and the given masses."""
     try:
-        return with_constants(given.robot, LumpedConstants(*constants.tolist()))
+        return with_constants(given, LumpedConstants(*constants.tolist()))
     except InvalidParameterError as error:
         raise InvalidInputError(
             "constants", Description(", ".join(f"{one:.4g}" for one in constants)),
@@ -262,10 +266,10 @@ def _robot(given: Given, constants: Vector) -> RobotParameters:
 
 
 def _of_inside(
-    found: Identified, recorded: Recorded, readings: Readings, given: Given,
-    progress: Callable[[str], None],
+    found: Identified, recorded: Recorded, readings: Readings, progress: Callable[[str], None]
 ) -> None:
     """Add what an IMU and rotor speeds show without poses from outside."""
+    given = found.given
     robot, scale = given.robot, given.imu.gyro_scale
     length = EstimatorSettings().of(RobotUnits.of(robot)).longest
     for turn in range(_PASSES):
@@ -278,7 +282,7 @@ def _of_inside(
         constants: Vector = np.concatenate((radius[0], inside.constants))
         covariance = np.zeros((4, 4))
         covariance[0, 0], covariance[1:, 1:] = radius[1][0] ** 2, inside.covariance
-        robot = _robot(given, constants)
+        robot = _robot(given.robot, constants)
     half = balance.fitted(whole[::2], given.robot.lumped).constants
     after = balance.left(whole[1::2], LumpedConstants(constants[0], *half.tolist()))
     before = balance.left(whole[1::2], given.robot.lumped)
@@ -286,27 +290,26 @@ def _of_inside(
         "; half of the bag predicts the angular velocity in the other half within "
         f"{after:.2g} rad/s, the given robot within {before:.2g} rad/s"
     )
-    _change_robot(found, constants, covariance, given)
+    _change_robot(found, constants, covariance)
     found.add("offset of IMU stamps", "s", *inside.offset, 0.0, "late against joint_states")
-    found.add("imu.position", "m", *place, given.imu.position)
-    found.odometry["imu.position"] = _place_entry(place)
-    for name, unit in (("imu.orientation", ""), ("pose_position_noise", "m"),
-                       ("pose_orientation_noise", "rad")):
-        settings = given.imu if name.startswith("imu.") else given.controller
-        found.add(name, unit, 0.0, None, getattr(settings, name.rpartition(".")[2]),
-                  "takes poses from outside")
+    _add_place(found, place)
+    for name in ("imu.orientation", *_NOISES):
+        found.add_parameter(name, remark="takes poses from outside")
 
 
-def _place_entry(place: Value) -> Entry:
-    return Entry(tuple(_rounded(one, 5) for one in place[0]), f"+- {_list(place[1])} m")
+def _add_place(found: Identified, place: Value) -> None:
+    found.add_parameter("imu.position", *place)
+    found.odometry["imu.position"] = Entry(
+        tuple(_rounded(one, 5) for one in place[0]), f"+- {_list(place[1])} m"
+    )
 
 
 def _add_mounting(
-    found: Identified, fit: BatchFit, estimate: Estimate, readings: Readings, given: Given,
+    found: Identified, fit: BatchFit, estimate: Estimate, readings: Readings,
     progress: Callable[[str], None],
 ) -> None:
     """Add what readings of an IMU show beside the poses, with deviations by leaving pieces out."""
-    step = _TRACK_STEP * RobotUnits.of(given.robot).time
+    step = _TRACK_STEP * RobotUnits.of(found.given.robot).time
 
     def mounted(chosen: list[int], at: Estimate, larger: float = 0.0) -> Mounted:
         radius = float(fit.constants(at.common)[0]) + larger
@@ -322,32 +325,27 @@ def _add_mounting(
         others.append(mounted(chosen, fit.fitted(chosen, estimate)))
     # The place takes the error of the radius.
     larger = mounted(whole, estimate, float(fit.nominal[0] * estimate.deviations[0]))
-    _add_imu(found, best.with_scatter(others, larger), given)
+    _add_imu(found, best.with_scatter(others, larger))
 
 
-def _add_imu(found: Identified, imu: Mounted, given: Given) -> None:
+def _add_imu(found: Identified, imu: Mounted) -> None:
     """Add the rows and parameters of an IMU."""
-    late, deviation = imu.offset
-    found.add("offset of IMU stamps", "s", late, deviation, 0.0, "late against joint_states")
-    place, turn = imu.position, imu.orientation
-    found.add("imu.position", "m", *place, given.imu.position)
-    found.add("imu.orientation", "", turn[0], turn[1], given.imu.orientation,
-              "deviation: rotation about the axes of the body [rad]")
+    found.add("offset of IMU stamps", "s", *imu.offset, 0.0, "late against joint_states")
+    turn = imu.orientation
+    _add_place(found, imu.position)
+    found.add_parameter(
+        "imu.orientation", *turn, "deviation: rotation about the axes of the body [rad]"
+    )
     found.add("gyro bias", "rad/s", *imu.gyro_bias)
     found.add("gyro scale", "", *imu.gyro_scale, remark="above 1")
     found.add("accelerometer bias", "m/s^2", *imu.accelerometer_bias)
     found.add("accelerometer scale", "", *imu.accelerometer_scale, remark="above 1")
-    found.odometry["imu.position"] = _place_entry(place)
     found.odometry["imu.orientation"] = Entry(
         tuple(_rounded(one, 7) for one in turn[0]), f"+- {_list(turn[1])} rad about body axes"
     )
     where = "at rest" if imu.at_rest else "in motion"
-    names = ("imu.gyro_noise", "imu.accelerometer_noise")
-    for name, unit, value in zip(
-        names, ("rad/s/sqrt(Hz)", "m/s^2/sqrt(Hz)"), imu.noises, strict=True
-    ):
-        told = getattr(given.imu, name.partition(".")[2])
-        found.add(name, unit, value, value / math.sqrt(6.0 * imu.count), told, where)
+    for name, value in zip(("imu.gyro_noise", "imu.accelerometer_noise"), imu.noises, strict=True):
+        found.add_parameter(name, value, value / math.sqrt(6.0 * imu.count), where)
         found.odometry[name] = Entry(_rounded(value, 3), where)
 
 
@@ -364,7 +362,7 @@ def _of_distance(found: Identified, recorded: Recorded, distance: float, tape: f
     found.notes["shell_radius"] = f"+- {deviation:.2g}, by a way of {distance:g} m"
 
 
-def _of_drives(found: Identified, drives: Drives, given: Given, late: float) -> None:
+def _of_drives(found: Identified, drives: Drives, late: float) -> None:
     """Add lag and limits of the drives; `late` is by how much stamps of poses are [s]."""
     lag, deviation = drives.lag
     found.add("lag of the drives", "s", lag, deviation, remark="behind the commands")
@@ -374,13 +372,12 @@ def _of_drives(found: Identified, drives: Drives, given: Given, late: float) -> 
         **found.controller,
     }
     limits = drives.acceleration, drives.speed
-    for (name, unit), limit, attained in zip(_LIMITS, limits, drives.attained, strict=True):
-        told = getattr(given.robot, name)
+    for name, limit, attained in zip(_LIMITS, limits, drives.attained, strict=True):
         if limit is None:
-            found.add(f"robot.{name}", unit, told, None, told, f"not reached up to {attained:.4g}")
+            found.add_parameter(f"robot.{name}", remark=f"not reached up to {attained:.4g}")
             found.notes[name] = AS_GIVEN
             continue
-        found.add(f"robot.{name}", unit, limit[0], limit[1], told, "as attained")
+        found.add_parameter(f"robot.{name}", *limit, "as attained")
         # Downwards, as plans must not exceed what is attained.
         value = math.floor(limit[0] * 10.0) / 10.0
         found.robot = replace(found.robot, **{name: value})

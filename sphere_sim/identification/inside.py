@@ -84,7 +84,7 @@ class Inside:
 class Balance:
     """Balance of momentum along a track, and the constants that fulfil it.
 
-    A scale of the gyro, of deviation `gyro_scale`, cannot be told from c1, and to estimate it
+    A scale of the gyro, of deviation `gyro_scale`, cannot be seen beside c1, and to estimate it
     would shrink what is left: its deviation is added to those of the constants.
     """
 
@@ -144,8 +144,9 @@ class Balance:
         """
         rates, up = self._track.rates, self._up
         about, along = rates * _Z, up * np.sum(up * rates, axis=1, keepdims=True)
+        times, still = self._track.times - values[3], np.zeros((self._track.times.size, 1))
         u, ahead, behind = (
-            self._about_axes(self._track.times - values[3] + shift)
+            np.hstack((self._speeds.interpolated(times + shift), still))
             for shift in (0.0, _STEP, -_STEP)
         )
         residual = rates + values[2] * about - values[1] * along + values[0] * u
@@ -162,10 +163,6 @@ class Balance:
             momentum = self._turns[part].transpose(0, 2, 1).reshape(-1, 3)
             found.append(rows - momentum @ np.linalg.lstsq(momentum, rows, rcond=None)[0])
         return found
-
-    def _about_axes(self, times: Vector) -> Vector:
-        """Return the rotor speeds at times as a vector about body axes, shape (N, 3)."""
-        return np.column_stack((self._speeds.interpolated(times), np.zeros(times.size)))
 
 
 def _unknowns(given: LumpedConstants) -> Vector:

@@ -28,9 +28,8 @@ from sphere_nmpc.solver.roll_out import propagate, roll_out
 from sphere_sim.evaluation.series import RobotSeries
 from sphere_sim.identification.inertial import Track
 
-NAMES = ("shell_radius", "c1", "r1", "r3", "pose_offset")
-"""Common unknowns that are results: Rs, c1, r1, r3 over the given ones, and the offset [s]."""
 OFFSET = 4
+"""Place of the offset [s] among the common unknowns, behind Rs, c1, r1, r3 over the given ones."""
 _COMMON, _LOCAL = 10, 8
 """Numbers of common unknowns, slope and imbalance the last five, and of those of a piece."""
 _TORQUES = slice(5, 10)

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time of a recorded run, from the two clocks of its bag: log times and message stamps."""
 
+from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,8 @@ class BagClock:
     """
 
     def __init__(self, received: Sequence[int], stamps: Sequence[int]) -> None:
+        self.undated: Counter[str] = Counter()
+        """Messages of each topic whose stamps could not be used."""
         self.origin = min(stamps)
         """Stamp of the first pose of the run [ns]."""
         self._first = min(received)
@@ -104,6 +108,21 @@ class BagClock:
         near = self._interpolate(received + tolerance, self._latest)
         latest = max(near, float(self._latest[-1])) + TOLERANCE
         return time if earliest <= time <= latest else self.time_of_log(received)
+
+    def time_of_record(
+        self, topic: str, received: int, record: Any, *, latched: bool = False
+    ) -> float:
+        """Return the time [s] of the record of a message, see `time_of_message`."""
+        time = self.time_of_message(record.stamp, received, latched=latched)
+        self.undated[topic] += time != self.time_of_stamp(record.stamp)
+        return time
+
+    def notes(self, whose: str) -> list[str]:
+        """Return a note on each topic that is undated, by this clock of the poses or the IMU."""
+        return [
+            f"{topic}: {count} stamps are not of the clock of {whose}; the log times are used"
+            for topic, count in self.undated.items() if count
+        ]
 
     def _interpolate(self, received: int, times: Vector) -> float:
         log = (received - self._first) / NANOSECONDS

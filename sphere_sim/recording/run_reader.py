@@ -3,8 +3,8 @@
 """Reading of bags, of the recorder or of ``ros2 bag record``, as the arrays of a `Run`."""
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -78,28 +78,22 @@ def read_run(
     speeds, torques = reader.joint_states()
     goals = reader.goals(poses.times)
     known_parameters = bag_parameters(messages.custom_data, robot.controller)
-    parameters = _recorded_robot(known_parameters)
+    parameters = RobotParameters()
+    with suppress(InvalidParameterError):
+        parameters = with_parameters(parameters, known_parameters, "robot.")
     solves, plans = reader.solves(), reader.plans()
     momentum, disturbances = reader.momentum(parameters)
     pushes, floors = reader.pushes(), reader.floors()
     poses = replace(poses, values=without_sign_jumps(poses.values))
     estimates = reader.estimates(robot.estimate)
     errors = estimate_errors(estimates, poses)
-    reader.note_undated()
+    messages.notes += clock.notes("the poses")
     return Run(
         poses, speeds, torques, printable(name or Path(storage_name(path)).stem), path, goals,
         plans, solves, momentum, disturbances, pushes, floors, reader.planned_clearances(),
         reader.contacts(), estimates, replace(estimates, values=errors), parameters,
         reader.setup(known_parameters, parameters), tuple(messages.notes),
     )
-
-
-def _recorded_robot(texts: Mapping[str, str]) -> RobotParameters:
-    """Return the robot that the parameters ``robot.*`` describe; the default one if not valid."""
-    try:
-        return with_parameters(RobotParameters(), texts, "robot.")
-    except InvalidParameterError:
-        return RobotParameters()
 
 
 class TopicReader:
@@ -109,7 +103,6 @@ class TopicReader:
         self._messages, self._robot, self._clock = messages, robot.namespace, clock
         self._notes = messages.notes
         self._joint_states, self._trajectory = robot.joint_states, robot.rotor_trajectory
-        self._undated: Counter[str] = Counter()
 
     def setup(self, parameters: Mapping[str, str], robot: RobotParameters) -> str:
         """Return strategy, robot and plant in words, given the controller's parameters."""
@@ -210,7 +203,7 @@ class TopicReader:
             state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
             # The controller stamps a goal when it accepts it; stamps set by users mean nothing.
             time = (
-                self._time(topic, message, received, latched=True)
+                self._clock.time_of_record(topic, received, message, latched=True)
                 if accepted else self._clock.time_of_log(received)
             )
             orientation = demanded.get(stamp_text(message.stamp), Orientation.FULL)
@@ -279,9 +272,8 @@ class TopicReader:
     def pushes(self) -> Series:
         """Return the pushes of the robot's simulator."""
         pushes = [
-            (self._time(topic, message, received), *map(known, message.vector[:2]))
-            for topic in self._topics("/pushed")
-            for received, message in self._messages.decoded[topic]
+            (self._clock.time_of_record(topic, *entry), *map(known, entry[1].vector[:2]))
+            for topic in self._topics("/pushed") for entry in self._messages.decoded[topic]
         ]
         pushed: Vector = np.array(pushes, dtype=float).reshape(-1, 3)
         pushed = pushed[np.all(np.isfinite(pushed), axis=1)]
@@ -293,7 +285,7 @@ class TopicReader:
         for topic in self._topics("/floor"):
             invalid = []
             for received, message in self._messages.decoded[topic]:
-                time = self._time(topic, message, received, latched=True)
+                time = self._clock.time_of_record(topic, received, message, latched=True)
                 try:
                     found.append((time, floor_of(message)))
                 except InvalidMapError as error:
@@ -330,19 +322,6 @@ class TopicReader:
                 before = count
         return Series.of((time, i) for i, time in enumerate(times, start=1))
 
-    def note_undated(self) -> None:
-        """Add a note on each topic whose stamps could not be used."""
-        self._notes += [
-            f"{topic}: {count} stamps are not of the clock of the poses; the log times are used"
-            for topic, count in self._undated.items() if count
-        ]
-
-    def _time(self, topic: str, message: Any, received: int, *, latched: bool = False) -> float:
-        """Return the time [s] of a message by its stamp, or by its log time [ns], which counts."""
-        time = self._clock.time_of_message(message.stamp, received, latched=latched)
-        self._undated[topic] += time != self._clock.time_of_stamp(message.stamp)
-        return time
-
     def _series(
         self, topic: str, entries: Sequence[tuple[Any, ...]], rows: Sequence[Any], size: int
     ) -> Series:
@@ -356,9 +335,9 @@ class TopicReader:
             [(entry[0], entry[1].stamp) for entry in entries], dtype=np.int64
         ).reshape(-1, 2).T
         if stand_still(logs, stamps, values):
-            self._undated[topic] += len(entries)
+            self._clock.undated[topic] += len(entries)
             return np.array([self._clock.time_of_log(log) for log in logs.tolist()])
-        return np.array([self._time(topic, message, log) for log, message, *_ in entries])
+        return np.array([self._clock.time_of_record(topic, *entry[:2]) for entry in entries])
 
     def _topics(self, ending: str) -> list[str]:
         """Return the topics of the robot with an ending, whatever the name of the node is."""

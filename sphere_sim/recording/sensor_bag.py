@@ -87,7 +87,7 @@ class SensorBag:
                for kind in (FIX, PLACED)]
         compared = {}
         for topic in filter(None, dict.fromkeys((self.joints, *own, self.reference))):
-            times = self._times(clock, topic)
+            times = np.array([clock.time_of_record(topic, *entry) for entry in self.of(topic)])
             if topic != self.reference:
                 found += [(log, (time, topic, record)) for time, (log, record)
                           in zip(times.tolist(), self.of(topic), strict=True)]
@@ -97,22 +97,10 @@ class SensorBag:
                 poses = Series.of_numbers(times, states)
                 poses = poses.where(are_states(poses.values))
                 compared[topic] = replace(poses, values=without_sign_jumps(poses.values))
+        del clock.undated[own[1]]  # stamped by who gives it, on any clock
+        self.messages.notes += clock.notes("the IMU")
         found.sort(key=lambda entry: entry[0])
         return [event for _, event in found], compared
-
-    def _times(self, clock: BagClock, topic: str) -> Vector:
-        """Return the times of messages [s]; a note says whose stamps cannot be used."""
-        found = [clock.time_of_message(record.stamp, log) for log, record in self.of(topic)]
-        undated = sum(
-            time != clock.time_of_stamp(record.stamp)
-            for time, (_, record) in zip(found, self.of(topic), strict=True)
-        )
-        if undated and last_part(topic) != PLACED:
-            self.messages.notes.append(
-                f"{topic}: {undated} stamps are not of the clock of the IMU; the log times are "
-                "used"
-            )
-        return np.array(found)
 
 
 def read_sensor_bag(

@@ -107,7 +107,11 @@ class RecordingSession:
 
     def start(self) -> Path:
         """Start a new bag and return its folder; raises as `BagWriter`."""
-        self._bag = BagWriter(self._next_folder())
+        output = self._output or time.strftime("runs/%Y-%m-%d_%H-%M-%S")
+        folder = Path(output).expanduser().absolute()
+        if self._started:
+            folder = folder.with_name(f"{folder.name}_{self._started}")
+        self._bag = BagWriter(folder)
         self._started += 1
         self._early = {
             topic: deque((message,), _KEPT)
@@ -155,8 +159,3 @@ class RecordingSession:
             self._bag.abandon()
             self._bag = None
             self._fail(f"recording stopped, {error}; what was recorded before is complete")
-
-    def _next_folder(self) -> Path:
-        output = self._output or time.strftime("runs/%Y-%m-%d_%H-%M-%S")
-        folder = Path(output).expanduser().absolute()
-        return folder.with_name(f"{folder.name}_{self._started}") if self._started else folder

@@ -239,7 +239,7 @@ class _Bag:
             return self._error(messages.incomplete(missing))
         if not messages.types:
             return self._error("is empty: it has no topic at all")
-        # Types of equal names are told apart by their packages.
+        # Types of equal names differ by their packages.
         others = ", ".join(
             f"{topic} ({kind if last_part(kind) == last_part(_POSE) else last_part(kind)})"
             for topic, kind in sorted(messages.types.items())

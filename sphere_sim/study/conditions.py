@@ -56,10 +56,6 @@ class StudyConditions:
         validate(self)
         object.__setattr__(self, "controller", self.controller.of(self.robot))
 
-    def contradiction(self) -> str | None:
-        """Return in one line how limits contradict each other; None if they do not."""
-        return self.of_plant.contradiction(self.robot)
-
     @property
     def of_plant(self) -> PlantSettings:
         """Settings that the plant of the runs has of its own."""
@@ -98,14 +94,10 @@ class StudyConditions:
 
 
 _GROUPS: dict[str, Any] = {
-    "controller": ControllerSettings,
-    "simulator": SimulatorSettings,
-    "robot": RobotParameters,
-    "disturbances": DisturbanceSettings,
-    "floor": FloorSettings,
-    "imu": SimulatedImuSettings,
-    "odometry": OdometrySettings,
+    one.name: one.default_factory for one in dataclasses.fields(StudyConditions)
+    if one.default_factory is not dataclasses.MISSING and one.name != "plants"
 }
+"""Classes of the settings of all runs, by kind."""
 
 
 def _found(name: str, text: str) -> tuple[str, str]:

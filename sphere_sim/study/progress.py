@@ -29,29 +29,21 @@ def shown(progress: Progress) -> Iterator[Progress]:
         progress.stop()
 
 
-class StudyProgress:
-    """Bar on standard error: runs made, runs settled, remaining time; it starts when entered."""
+class StudyProgress(contextlib.ExitStack):
+    """Bar on standard error: runs made, runs settled, remaining time.
+
+    Once it is closed it stays visible, and another one may follow.
+    """
 
     def __init__(self, runs: int) -> None:
+        super().__init__()
         self._done = self._settled = 0
-        self._shown = contextlib.ExitStack()
-        self._progress = Progress(
+        self._progress = self.enter_context(shown(Progress(
             TextColumn("runs"), BarColumn(), MofNCompleteColumn(),
             TextColumn("{task.fields[settled]}"), TimeElapsedColumn(), TextColumn("to go"),
             TimeRemainingColumn(), console=Console(stderr=True),
-        )
+        )))
         self._task = self._progress.add_task("runs", total=runs, settled="")
-
-    def __enter__(self) -> "StudyProgress":
-        self._shown.enter_context(shown(self._progress))
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop the bar, which stays visible; another one may follow."""
-        self._shown.close()
 
     def count(self, record: RunRecord) -> None:
         """Count a run."""

@@ -258,9 +258,10 @@ def _value_decrease(
                 time=k * settings.control_period,
                 state=settings.units.scaled(decision.state[POSE]),
                 goal=settings.units.scaled(goal), value=decision.plan.made.cost,
-                next_input=decision.plan.hold.speeds[1], input_weight=settings.alpha,
-                terminal_weight=settings.terminal_weight,
-                max_speed=conditions.robot.max_rotor_speed,
+                next_input=decision.plan.hold.speeds[1],
+                weights=(
+                    settings.alpha, settings.terminal_weight, conditions.robot.max_rotor_speed
+                ),
             )
         )
         judged, broken = report.judged, report.violations

@@ -8,6 +8,7 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ class Study:
 
         Returns the summary of each strategy.
         """
-        contradiction = self.conditions.contradiction()
+        contradiction = self.conditions.of_plant.contradiction(self.conditions.robot)
         if contradiction is not None:
             _log.warning("sphere_nmpc study: %s", contradiction)
         names = self.strategies or (self.conditions.controller.strategy,)
@@ -83,7 +84,12 @@ class Study:
                 name: self._records(self._with(name), journal, workers, observer)
                 for name, journal in journals.items()
             }
-            motions = {name: self._motions(found) for name, found in records.items()}
+            robot, disturbances = self.conditions.robot, self.conditions.disturbances
+            motions = {
+                name: [motion_of(scenario, record, robot, disturbances)
+                       for scenario, record in zip(self.scenarios, found, strict=True)]
+                for name, found in records.items()
+            }
             # The search for best known times may take long and be interrupted.
             summaries, tables = self._write(folders, records, motions, {})
             for name, folder in folders.items():
@@ -91,8 +97,11 @@ class Study:
             if best_known is not None:
                 times = self._best_known(best_known, motions)
                 summaries, tables = self._write(folders, records, motions, times)
+            about = describe(self.conditions, len(self.scenarios))
             for folder, results in tables.items():
-                self._draw(folder, results, summaries)
+                shown = {name: summaries[name] for name in results}
+                files = " and ".join(str(folder / name) for name in FIGURES)
+                draw_or_warn("study", files, partial(draw, folder, results, shown, about))
         return summaries
 
     def _with(self, strategy: str) -> StudyConditions:
@@ -116,14 +125,6 @@ class Study:
             if observer is not None:
                 observer(record)
         return [journal.records[i] for i in range(len(self.scenarios))]
-
-    def _motions(self, records: Sequence[RunRecord]) -> list[Motion]:
-        """Return the motion of each run."""
-        conditions = self.conditions
-        return [
-            motion_of(scenario, record, conditions.robot, conditions.disturbances)
-            for scenario, record in zip(self.scenarios, records, strict=True)
-        ]
 
     def _best_known(
         self, search: BestKnown, motions: Mapping[str, Sequence[Motion]]
@@ -166,12 +167,3 @@ class Study:
             text = json.dumps(content, indent=1, allow_nan=False) + "\n"
             replace_file(folder / "summary.json", text.encode())
         return summaries, tables
-
-    def _draw(
-        self, folder: Path, results: Mapping[str, Sequence[dict[str, Value]]],
-        summaries: Mapping[str, dict[str, Any]],
-    ) -> None:
-        about = describe(self.conditions, len(self.scenarios))
-        shown = {name: summaries[name] for name in results}
-        files = " and ".join(str(folder / name) for name in FIGURES)
-        draw_or_warn("study", files, lambda: draw(folder, results, shown, about))

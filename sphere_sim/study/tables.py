@@ -78,8 +78,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
     Distributions are over the runs that have the quantity; ``failures`` lists each run that did
     not settle, ``timing`` holds all that depends on the machine.
     """
-    pushed = any(scenario.push is not None for scenario in scenarios)
-    along = any(scenario.follows is not None for scenario in scenarios)
+    further = [n for n in _further_columns(scenarios, results) if n not in FLOOR_RESULT_COLUMNS]
     return {
         "strategy": results[0]["strategy"],
         "runs": len(results),
@@ -87,9 +86,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
         "settled_error": SETTLED_ERROR,
         **{name: _distribution(column(results, name)) for name in _DISTRIBUTIONS},
         "beyond_lower_bound_s": _distribution(_beyond_lower_bound(results)),
-        **{n: _distribution(column(results, n)) for n in PUSH_RESULT_COLUMNS if pushed},
-        **{n: _distribution(column(results, n)) for n in PATH_RESULT_COLUMNS if along},
-        **{n: _distribution(column(results, n)) for n in _of_odometry(results)},
+        **{name: _distribution(column(results, name)) for name in further},
         **{name: _largest(column(results, name)) for name in _PEAKS},
         "failed_solves": int(np.sum(column(results, "failures"))),
         "crashed": sum(found.get("crash") is not None for found in results),
@@ -112,20 +109,20 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
     }
 
 
-def _has_walls(results: Results) -> bool:
-    """Return whether the runs were on a floor with walls."""
-    return any("contacts" in found for found in results)
-
-
-def _of_odometry(results: Results) -> tuple[str, ...]:
-    """Return the columns of an odometry, where the runs have one."""
-    names = ODOMETRY_RESULT_COLUMNS
-    return names if any(names[0] in found for found in results) else ()
+def _further_columns(scenarios: Sequence[Scenario], results: Results) -> tuple[str, ...]:
+    """Return the columns of pushes, paths, floors and an odometry, where the runs have these."""
+    present = {name for found in results for name in found}
+    return (
+        *(PUSH_RESULT_COLUMNS if any(it.push is not None for it in scenarios) else ()),
+        *(PATH_RESULT_COLUMNS if any(it.follows is not None for it in scenarios) else ()),
+        *(FLOOR_RESULT_COLUMNS if FLOOR_RESULT_COLUMNS[0] in present else ()),
+        *(ODOMETRY_RESULT_COLUMNS if ODOMETRY_RESULT_COLUMNS[0] in present else ()),
+    )
 
 
 def _contacts(results: Results) -> dict[str, Any]:
     """Return what a summary has of contacts with walls; nothing where there are no walls."""
-    if not _has_walls(results):
+    if not any("contacts" in found for found in results):
         return {}
     clearances = column(results, "least_clearance_m")
     return {
@@ -209,19 +206,15 @@ def write_runs(
     """Write the table of all runs as CSV: the results of all scenarios for each strategy."""
     # A table of results may be the scenario file; its previous results are replaced.
     names = dict.fromkeys(name for scenario in scenarios for name in scenario.extra)
-    pushed = any(scenario.push is not None for scenario in scenarios)
     results = list(results)
-    along = any(scenario.follows is not None for scenario in scenarios)
-    walled = any(map(_has_walls, results))
-    result_names = RESULT_COLUMNS + (PUSH_RESULT_COLUMNS if pushed else ())
-    result_names += PATH_RESULT_COLUMNS if along else ()
-    result_names += FLOOR_RESULT_COLUMNS if walled else ()
-    result_names += max(map(_of_odometry, results), default=())
+    further = _further_columns(scenarios, [found for it in results for found in it])
+    result_names = RESULT_COLUMNS + further
     replaced = {*result_names, *PUSH_RESULT_COLUMNS, *PATH_RESULT_COLUMNS}
     extras = [name for name in names if name not in replaced]
     present = {name for scenario in scenarios for name in scenario.optional}
     numbers = (*PUSH_COLUMNS, *DISTURBANCE_COLUMNS, PATH_SPEED_COLUMN)
-    optional = [PATH_COLUMN] * along + [name for name in numbers if name in present]
+    optional = [PATH_COLUMN] * (PATH_RESULT_COLUMNS[0] in further)
+    optional += [name for name in numbers if name in present]
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*STATE_COLUMNS, SEED_COLUMN, *optional, *extras, *result_names])

@@ -10,7 +10,7 @@ import select
 import signal
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from sphere_nmpc.errors import SphereNmpcError, printable_line, shown
@@ -27,7 +27,7 @@ Task = tuple[Any, tuple[Any, ...]]
 _CONNECT_TIMEOUT = 15.0
 """How long to wait for the scheduler [s]."""
 _TOLD_AFTER = 2.0
-"""Wait for the scheduler after which the user is told of it [s]."""
+"""Wait for the scheduler after which the user is informed of it [s]."""
 _AHEAD = 4
 """Tasks submitted for each thread of the cluster, so that none is idle."""
 
@@ -45,15 +45,9 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-@dataclass(frozen=True)
-class _Call:
-    """A call as a task of `serve`."""
-
-    call: Callable[..., Any]
-    arguments: tuple[Any, ...]
-
-    def __call__(self, _store: object) -> object:
-        return self.call(*self.arguments)
+def _made(call: Callable[..., Any], arguments: tuple[Any, ...], _store: object) -> object:
+    """Make a call; with its first two arguments this is a task of `serve`."""
+    return call(*arguments)
 
 
 class Workers(contextlib.ExitStack):
@@ -108,7 +102,7 @@ class Workers(contextlib.ExitStack):
             busy[channel] = waiting.popleft()
             # If the process has ended, reading its answer fails.
             with contextlib.suppress(ChannelEndError):
-                channel.send(encoded(_Call(call, busy[channel][1])))
+                channel.send(encoded(partial(_made, call, busy[channel][1])))
 
         while waiting or busy:
             while waiting and len(busy) < self._jobs:
@@ -208,8 +202,8 @@ def _joined_cluster(address: str) -> Iterator[Any]:
         client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except Exception as error:  # the answer of another program can cause any, also MemoryError
         late = f"no answer within {_CONNECT_TIMEOUT:g} s"
-        told = late if isinstance(error, asyncio.TimeoutError) else str(error)
-        reason = printable_line(told or type(error).__name__)
+        text = late if isinstance(error, asyncio.TimeoutError) else str(error)
+        reason = printable_line(text or type(error).__name__)
         raise WorkersError(f"scheduler {address}: cannot be reached ({reason})") from None
     with client:
         try:
@@ -229,7 +223,7 @@ async def _find_scheduler(address: str) -> None:
     from distributed import Security
     from distributed.comm import connect
 
-    told = asyncio.get_running_loop().call_later(
+    notice = asyncio.get_running_loop().call_later(
         _TOLD_AFTER, _log.warning,
         "sphere_nmpc study: waiting for the scheduler %s, at most %g s", address, _CONNECT_TIMEOUT,
     )
@@ -242,7 +236,7 @@ async def _find_scheduler(address: str) -> None:
         finally:
             comm.abort()
     finally:
-        told.cancel()
+        notice.cancel()
     if found != "Scheduler":
         raise ValueError(f"given Dask's {shown(found)}, expected a scheduler")
 

@@ -96,6 +96,8 @@ class ControlPanel:
 
     def __init__(self, server: viser.ViserServer, live: bool) -> None:
         self._requests: queue.SimpleQueue[PageRequest] = queue.SimpleQueue()
+        self.put = self._requests.put
+        """Adds a request to the queue, from any thread."""
         gui = server.gui
         self._status = gui.add_html("")
         self._numbers = gui.add_html("")
@@ -106,16 +108,16 @@ class ControlPanel:
                 gui.add_dropdown("goal", (_PICK, *GOAL_PRESETS), initial_value=_PICK),
                 lambda name: source.ChooseGoal(name) if name in GOAL_PRESETS else None,
             )
-            self._at_once = gui.add_checkbox(
+            self.at_once = gui.add_checkbox(
                 "send at once", True, hint="Send a goal when the mouse is released, or only with "
                 "the button"
             )
             send = gui.add_button("Send goal", icon=viser.Icon.TARGET_ARROW)
-            self._clickable = gui.add_checkbox(
+            self.clickable = gui.add_checkbox(
                 "point by click", False, hint="A click on the floor sends that position as a "
                 "goal, with any orientation; dragging still turns the view"
             )
-            self._drawable = gui.add_checkbox(
+            self.drawable = gui.add_checkbox(
                 "draw a path", False, hint="A path drawn on the floor with the mouse is sent when "
                 "it is released; dragging does not turn the view meanwhile"
             )
@@ -159,25 +161,6 @@ class ControlPanel:
         self._on_click(self._reset, source.Reset)
         self._on_click(push, self._make_push)
         self._on_click(self._way, lambda: _ON_THE_WAY.get(self._way.value))
-
-    @property
-    def sends_points(self) -> bool:
-        """Whether a click on the floor sends a point."""
-        return bool(self._clickable.value)
-
-    @property
-    def draws_paths(self) -> bool:
-        """Whether a drag on the floor draws a path."""
-        return bool(self._drawable.value)
-
-    @property
-    def sends_at_once(self) -> bool:
-        """Whether a goal is sent as soon as its drag ends."""
-        return bool(self._at_once.value)
-
-    def put(self, request: PageRequest) -> None:
-        """Add a request to the queue; from any thread."""
-        self._requests.put(request)
 
     def take(self) -> list[PageRequest]:
         """Return the requests since the last call."""

@@ -11,7 +11,7 @@ from sphere_nmpc.model.state import POSITION, Vector
 from sphere_sim.output import colours
 from sphere_sim.output.colours import Colour, linear
 from sphere_sim.output.round_numbers import grid_cell
-from sphere_sim.viewer.geometry import Mesh, segments, without_repeats
+from sphere_sim.viewer.geometry import segments, without_repeats
 
 _CELLS = 12
 """Cells of the grid from the middle of the floor to its edge."""
@@ -44,7 +44,7 @@ class Ground:
             "/world", axes_length=0.25 / 0.3 * size, axes_radius=0.008 / 0.3 * size,
             origin_radius=0.04 * size, position=(0.0, 0.0, _ON_FLOOR * size),
         )
-        self._path = Trail(scene, "/path", colours.PATH, 0.04 * size, size / 30.0)
+        self.path = Trail(scene, "/path", colours.PATH, 0.04 * size, size / 30.0)
         self._plan = scene.add_spline_catmull_rom(
             "/plan/line", np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), color=colours.PLAN,
             thickness=size / 15.0, visible=False,
@@ -64,20 +64,16 @@ class Ground:
         """Return whether a position, shape (2,) [m], is on the floor that is drawn."""
         return bool(np.all(np.abs(position - self._floor.position[:2]) <= _CELLS * self.cell))
 
-    def clear_path(self) -> None:
-        """Delete the path."""
-        self._path.clear()
-
     def extend_path(self, position: Vector) -> None:
         """Extend the path to a position, shape (2,) [m]."""
-        self._path.add(np.array([*position, _ON_FLOOR * self.size]))
+        self.path.add(np.array([*position, _ON_FLOOR * self.size]))
 
     def show(self, position: Vector, plan: Vector, followed: Vector) -> None:
         """Show path, plan, path to follow, and the floor around a position, shape (2,).
 
         The plan is of states, (n, 6), the path to follow of places, (n, 2).
         """
-        self._path.draw()
+        self.path.draw()
         if followed is not self._drawn_path:
             self._drawn_path = followed
             self._followed.visible = len(followed) >= 2
@@ -171,9 +167,10 @@ def _add_floor(
     """
     frame = scene.add_frame("/floor", show_axes=False)
     half = _CELLS * cell
-    plane = _plane(half)
+    corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
     surface = scene.add_mesh_simple(
-        "/floor/plane", plane.vertices, plane.faces, color=_PLAIN, cast_shadow=False,
+        "/floor/plane", corners, faces, color=_PLAIN, cast_shadow=False,
         position=(0.0, 0.0, -0.004 * cell), receive_shadow=False,
     )
     places = cell * np.arange(-_CELLS, _CELLS + 1, dtype=np.float64)
@@ -185,11 +182,6 @@ def _add_floor(
             thickness_units="screen",
         )
     return frame, surface
-
-
-def _plane(half: float) -> Mesh:
-    corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
-    return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32))
 
 
 def _lines(places: Vector, half: float) -> Vector:

@@ -85,11 +85,6 @@ class Chart:
     logarithmic: bool = False
     disturbances: bool = False
 
-    def least_range(self, robot: RobotParameters) -> Range:
-        """Return the smallest range of the vertical axis for a robot."""
-        unit = self.unit(robot)
-        return self.least[0] * unit, self.least[1] * unit
-
 
 CHARTS = (
     Chart("error, log10: distance [m], angle [°]", ("distance", "angle"),
@@ -130,7 +125,8 @@ class Plots:
         for order, chart in enumerate(CHARTS):
             lines = [_drawable(series[name], chart) for name in chart.names]
             has_values = len(times) >= 2 and any(_is_shown(line, chart) for line in lines)
-            wanted = axis_range(lines, chart.least_range(robot))
+            unit = chart.unit(robot)
+            wanted = axis_range(lines, (chart.least[0] * unit, chart.least[1] * unit))
             handle = self._drawn.get(chart)
             if handle is None:
                 # Created only with values: a plot that is created hidden keeps a width of 0.

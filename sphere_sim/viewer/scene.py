@@ -68,7 +68,7 @@ class Scene:
     def extend_lines(self, frame: Frame) -> None:
         """Extend the lines to a frame, which itself need not be shown."""
         if frame.restarted:
-            self._ground.clear_path()
+            self._ground.path.clear()
             if self._trace is not None:
                 self._trace.clear()
         if frame.state is None:
@@ -172,7 +172,7 @@ class Scene:
 
     def _set_ground(self, size: float) -> None:
         if size != self._ground.size:
-            self._ground.clear_path()
+            self._ground.path.clear()
             self._ground = Ground(self._scene, size)
             self.report_drags(self._on_drag)
 

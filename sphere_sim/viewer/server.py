@@ -56,13 +56,10 @@ class AccessControl:
     def __init__(self, port: int) -> None:
         self._token = secrets.token_urlsafe(16)
         self._hosts = tuple(f"{name}:{port}" for name in (HOST, "localhost"))
+        self.url = f"http://{self._hosts[0]}/?token={self._token}"
+        """Address of the page, with the token."""
         self.is_installed = False
         """Whether a server passes its requests through this check."""
-
-    @property
-    def url(self) -> str:
-        """Address of the page, with the token."""
-        return f"http://{self._hosts[0]}/?token={self._token}"
 
     def protect(self, serve: RequestHandler) -> RequestHandler:
         """Return a handler that refuses requests, or else answers them as `serve` does."""
@@ -131,22 +128,19 @@ class LocalServer(viser.ViserServer):
 
     def __init__(self, port: int) -> None:
         listener = _listen(port)
-        self._access = AccessControl(listener.getsockname()[1])
+        access = AccessControl(listener.getsockname()[1])
+        self.url = access.url
+        """Address of the page, with its access token."""
         # viser prints a banner; `announce` prints the address instead.
-        with contextlib.redirect_stdout(io.StringIO()), _protected(self._access, listener):
+        with contextlib.redirect_stdout(io.StringIO()), _protected(access, listener):
             super().__init__(host=HOST, port=port, label="sphere_nmpc", verbose=False)
-        if not self._access.is_installed:
+        if not access.is_installed:
             self.stop()
             raise ServerError(f"viser {viser.__version__} is not supported: no access control")
         self.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
         )
         self.gui.main_panel.dock_right()
-
-    @property
-    def url(self) -> str:
-        """Address of the page, with its access token."""
-        return self._access.url
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing where a page asks viser for a tunnel to this server through another host."""

@@ -45,6 +45,8 @@ class Viewer:
     def __init__(self, source: Source, port: int, live: bool) -> None:
         self._source = source
         self._server = LocalServer(port)
+        self.url = self._server.url
+        """Address of the page, with its access token."""
         self._history = History()
         self._scene = Scene(self._server)
         self._panel = ControlPanel(self._server, live)
@@ -58,11 +60,6 @@ class Viewer:
         """Places of the path that is being drawn [m]."""
 
     @property
-    def url(self) -> str:
-        """Address of the page, with its access token."""
-        return self._server.url
-
-    @property
     def has_pages(self) -> bool:
         """Whether the page is open anywhere."""
         return bool(self._server.get_clients())
@@ -71,10 +68,10 @@ class Viewer:
         """Handle requests and show new frames; to be called once a `FRAME_PERIOD`."""
         for request in self._panel.take():
             self._carry_out(request)
-        if self._panel.sends_points != self._takes_clicks:
+        if self._panel.clickable.value != self._takes_clicks:
             self._takes_clicks = not self._takes_clicks
             self._scene.report_clicks(self._send_point if self._takes_clicks else None)
-        if self._panel.draws_paths != self._takes_drags:
+        if self._panel.drawable.value != self._takes_drags:
             self._takes_drags = not self._takes_drags
             self._scene.report_drags(self._draw if self._takes_drags else None)
         frames = self._source.frames()
@@ -138,10 +135,10 @@ class Viewer:
         if isinstance(request, ChooseGoal):
             gizmo.move_to(GOAL_PRESETS[request.preset](self._state()))
             self._panel.reset_preset()
-            send = self._panel.sends_at_once
+            send = self._panel.at_once.value
         elif isinstance(request, DragGoal):
             gizmo.set_dragged(not request.ended)
-            send = request.ended and self._panel.sends_at_once
+            send = request.ended and self._panel.at_once.value
         else:
             gizmo.set_dragged(False)
             send = True

@@ -93,9 +93,8 @@ class CommandFollower:
 
     def knots_between(self, start: float, end: float) -> list[float]:
         """Return the knot times of the trajectory strictly between `start` and `end` [s]."""
-        if self._trajectory is None:
-            return []
-        return [float(t) for t in self._trajectory.times if start + 1e-9 < t < end - 1e-9]
+        trajectory = self._trajectory
+        return [] if trajectory is None else trajectory.knots_between(start + 1e-9, end - 1e-9)
 
 
 def beyond(

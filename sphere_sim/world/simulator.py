@@ -29,7 +29,8 @@ class Simulator:
         self, settings: SimulatorSettings, robot: RobotParameters, plant: Plant | None = None,
         imu: SimulatedImuSettings | None = None,
     ) -> None:
-        self._settings = settings
+        self.settings = settings
+        """The present settings."""
         start = as_state(settings.initial_state)
         self.plant = make_plant(settings.plant, robot, start) if plant is None else plant
         self.follower = CommandFollower(
@@ -55,19 +56,14 @@ class Simulator:
         """How many separate contacts with walls there have been."""
         return self.plant.contact.touches
 
-    @property
-    def settings(self) -> SimulatorSettings:
-        """The present settings."""
-        return self._settings
-
     def change(self, settings: SimulatorSettings) -> None:
         """Take over the settings that may change while running (noise, sensor)."""
-        self._settings = settings
+        self.settings = settings
         self._sensor.change(settings)
 
     def fit_imu(self, imu: SimulatedImuSettings | None) -> None:
         """Fit an IMU with these settings from now on, or take it away."""
-        self.imu = None if imu is None else ImuSensor(imu, self._settings.seed)
+        self.imu = None if imu is None else ImuSensor(imu, self.settings.seed)
         self._sensors: list[PoseSensor | ImuSensor] = [self._sensor]
         self._sensors += [] if self.imu is None else [self.imu]
 
@@ -75,7 +71,7 @@ class Simulator:
         """Put the sphere at rest at its start; time and noise continue."""
         self.follower.reset()
         self.speed_reference = np.zeros(INPUT_SIZE)
-        self.plant.reset(as_state(self._settings.initial_state))
+        self.plant.reset(as_state(self.settings.initial_state))
         if self.imu is not None:
             self.imu.reset()
 
@@ -96,7 +92,7 @@ class Simulator:
             self.plant.advance(target, duration)
             self.speed_reference = target
             self.now = stop
-            if stop == noise and self._settings.process_noise > 0.0:
+            if stop == noise and self.settings.process_noise > 0.0:
                 self._disturb()
             self._sample()
 
@@ -105,7 +101,7 @@ class Simulator:
 
         Each is returned once. A plain sensor measures at each call.
         """
-        if self._settings.is_sensor_plain:
+        if self.settings.is_sensor_plain:
             self._sensor.sample(self.now, self.plant)
         return self._sensor.delivered(self.now)
 
@@ -124,6 +120,6 @@ class Simulator:
 
     def _disturb(self) -> None:
         """Add the disturbance W(k) of Eq. (43) and normalise the quaternion."""
-        state = self.plant.state + self._settings.process_noise * self._process.normal(size=6)
+        state = self.plant.state + self.settings.process_noise * self._process.normal(size=6)
         state[QUATERNION] /= np.linalg.norm(state[QUATERNION])
         self.plant.displace(state)

@@ -22,13 +22,13 @@ from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.cdr import (
     WORLD_FRAME,
+    Numbers,
     Pose,
     Trajectory,
     clock_stamp,
     hold_and_stamp,
     read,
     rotor_speeds_and_stamp,
-    speeds_of_message,
 )
 from sphere_nmpc.ros.floor_messages import map_of_message
 from sphere_sim.evaluation.metrics import GoalRun
@@ -294,7 +294,7 @@ class Judge:
 
     def command(self, raw: bytes, wall: int, shift: int) -> None:
         """Take rotor speeds of a controller."""
-        self.limits.speed("rotor_commands", speeds_of_message(raw))
+        self.limits.speed("rotor_commands", read(raw, Numbers).numbers)
 
     def trajectory(self, raw: bytes, wall: int, shift: int) -> None:
         """Take a trajectory of a controller, of times on its shifted clock."""

@@ -16,8 +16,8 @@ from motions import largest_slope
 from sampled_loop import ROBOT, SampledLoop, check_hold
 
 from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.control.link import Commands
 from sphere_nmpc.control.monitors import ArrivalDetector
+from sphere_nmpc.control.sending import Commands
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.estimator import Estimator
 from sphere_nmpc.estimation.pose_filter import Estimate, PoseFilter
@@ -82,7 +82,7 @@ def test_stale_pose_ramps_the_rotors_to_rest_at_the_limit_until_a_fresh_one(
     for began in (0.0, 10.0):
         assert sample(controller, began, seen=True) is Kind.TRACKING
         resets, late = strategy.resets, began + away
-        in_force = controller.speeds_at(late)
+        in_force = controller.rotors.at(late)
         decision = controller.decide(late)
         assert decision.mode is Kind.NO_FRESH_POSE and decision.state is None
         assert decision.pose_age == pytest.approx(away)
@@ -122,7 +122,7 @@ def test_strategy_that_fails_leaves_the_hold_in_force_which_ends_at_rest(
     controller: Controller, strategy: Given, make: Any
 ) -> None:
     times, resets = np.arange(PERIOD, 4.0, 0.1), strategy.resets
-    expected = [controller.speeds_at(t).copy() for t in times]
+    expected = [controller.rotors.at(t).copy() for t in times]
     strategy.make = make
     for k in range(1, 4):
         time = k * PERIOD
@@ -132,7 +132,7 @@ def test_strategy_that_fails_leaves_the_hold_in_force_which_ends_at_rest(
         assert decision.plan.status is PlanStatus.FALLBACK
         assert decision.plan.message == controller.last_failure != ""
         assert controller.commit(decision, time) is not None
-    found = [controller.speeds_at(t) for t in times]
+    found = [controller.rotors.at(t) for t in times]
     np.testing.assert_array_equal(found[-1], [0.0, 0.0])
     # The rest of the hold in force was sent again; rounding of 60 rad/s.
     np.testing.assert_allclose(found, expected, atol=1e-11)
@@ -157,7 +157,7 @@ def test_disabled_controller_ramps_to_rest_and_resumes_when_enabled(
     assert sample(controller, 1.0) is Kind.TRACKING
     controller.enabled = False
     assert sample(controller, 1.0) is Kind.DISABLED
-    np.testing.assert_array_equal(controller.speeds_at(1.0 + PERIOD), [0.0, 0.0])
+    np.testing.assert_array_equal(controller.rotors.at(1.0 + PERIOD), [0.0, 0.0])
 
 
 def test_forgetting_keeps_the_goal_only(controller: Controller) -> None:
@@ -178,7 +178,7 @@ FAILING = {
     "reset of the strategy": (Given, "reset", True),
     "command": (Commands, "joined", False),
     "command in force": (Commands, "in_force", False),
-    "stop": (Commands, "stop", True),
+    "stop": (Commands, "stopping", True),
 }
 """Class, attribute, and whether it is used only where no fresh pose is left."""
 
@@ -197,7 +197,7 @@ def test_failure_of_any_part_is_counted_and_does_not_stop_the_loop(
     if name == "in_force":  # which is asked for only then
         strategy.make = no_plan
     time = SETTINGS.pose_timeout + 1.0 if late else PERIOD
-    in_force = controller.speeds_at(time)
+    in_force = controller.rotors.at(time)
     with monkeypatch.context() as patch:
         is_property = isinstance(getattr(owner, name), property | cached_property)
         patch.setattr(owner, name, property(fail) if is_property else fail)
@@ -332,12 +332,12 @@ class Events(RuleBasedStateMachine):
         decision = self.controller.decide(self.now)
         self.now += delay
         past = self.now - np.linspace(0.001, 1.0, 20)
-        before = [self.controller.speeds_at(t) for t in past]
-        in_force = self.controller.speeds_at(self.now)
+        before = [self.controller.rotors.at(t) for t in past]
+        in_force = self.controller.rotors.at(self.now)
         hold = self.controller.commit(decision, self.now)
-        np.testing.assert_array_equal([self.controller.speeds_at(t) for t in past], before)
+        np.testing.assert_array_equal([self.controller.rotors.at(t) for t in past], before)
         # Rounding of times on a wall clock, 2.4e-7 s, at 400 rad/s^2.
-        np.testing.assert_allclose(self.controller.speeds_at(self.now), in_force, atol=2e-4)
+        np.testing.assert_allclose(self.controller.rotors.at(self.now), in_force, atol=2e-4)
         if hold is not None:
             # The end of the ramp to rest is rounded to the clock's 2.4e-7 s.
             shortest = np.min(np.diff(hold.times), initial=np.inf)
@@ -349,10 +349,10 @@ class Events(RuleBasedStateMachine):
         if not hasattr(self, "controller"):
             return
         ahead = self.now + np.linspace(0.0, 3.0, 31)
-        speeds = np.array([self.controller.speeds_at(t) for t in ahead])
+        speeds = np.array([self.controller.rotors.at(t) for t in ahead])
         assert np.all(np.abs(speeds) <= ROBOT.max_rotor_speed)
         # A late plan may lie 10 s ahead, each is at most 2.4 s long, and so is the ramp 0.25 s.
-        end = self.controller.speeds_at(self.now + 20.0)
+        end = self.controller.rotors.at(self.now + 20.0)
         np.testing.assert_allclose(end, 0.0, atol=1e-4)
 
 

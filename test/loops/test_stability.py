@@ -24,7 +24,7 @@ GOAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 def sample(time: float, x: float, value: float, speeds: tuple[float, float]) -> Sample:
     state = GOAL + np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return Sample(time, state, GOAL, value, np.array(speeds), 0.5, 1e8, 100.0)
+    return Sample(time, state, GOAL, value, np.array(speeds), (0.5, 1e8, 100.0))
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_eq_42_compares_the_value_with_the_cost_of_the_knots_that_are_left(case:
     plan = PaperStrategy(settings, robot).plan(situation)
     first = Sample(
         0.0, scenario.start, scenario.goal, plan.made.cost, plan.hold.speeds[1],
-        settings.alpha, settings.terminal_weight, robot.max_rotor_speed,
+        (settings.alpha, settings.terminal_weight, robot.max_rotor_speed),
     )
     errors = np.sum((plan.states[:, POSE] - scenario.goal) ** 2, axis=1)
     efforts = settings.alpha * np.sum(plan.hold.speeds**2, axis=1)
@@ -80,7 +80,7 @@ def test_neighbourhood_of_the_paper_is_one_hundredth_and_not_judged() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"goal": -GOAL}, {"input_weight": 1.0}, {"time": 0.0}, {"value": np.nan},
+        {"goal": -GOAL}, {"weights": (1.0, 1e8, 100.0)}, {"time": 0.0}, {"value": np.nan},
         {"state": np.full(6, np.nan)},
     ],
 )
@@ -104,7 +104,7 @@ def test_value_function_of_case_1_falls_as_eq_42_says_though_the_error_does_not(
     for k, (decision, state) in enumerate(zip(run.decisions, run.states, strict=False)):
         report = monitor.update(Sample(
             0.5 * k, state, scenario.goal, decision.plan.made.cost, decision.plan.hold.speeds[1],
-            settings.alpha, settings.terminal_weight, robot.max_rotor_speed,
+            (settings.alpha, settings.terminal_weight, robot.max_rotor_speed),
         ))
     # It enters D after 12.5 s, 25 samples; another solver may take another path there.
     assert 15 <= report.judged <= 31

@@ -11,7 +11,7 @@ from floor_plans import RADIUS
 from motions import largest_distance
 from sampled_loop import SampledLoop, check_hold
 
-from sphere_nmpc.control.link import REACH
+from sphere_nmpc.control.sending import REACH
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.goal import Goal

@@ -93,7 +93,7 @@ def test_wrong_poses_are_told_once_and_without_fresh_ones_the_rotors_ramp_to_res
 
     def rests() -> bool:
         robot.pass_time(0.3)
-        speeds = robot.node.controller.speeds_at(robot.now / 1e9), robot.commands[-1].data
+        speeds = robot.node.controller.rotors.at(robot.now / 1e9), robot.commands[-1].data
         return float(np.max(np.abs(speeds))) < AT_REST
 
     robot.graph.until(rests)

@@ -15,7 +15,7 @@ from sphere_nmpc.quantity import quantities
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_sim.cli.main import main
-from sphere_sim.identification.identify import Identified
+from sphere_sim.identification.identify import Given, Identified
 from sphere_sim.identification.robot_file import Entry, written
 from sphere_sim.ros.recorder.node import RecorderNode
 from sphere_sim.ros.simulator.node import SimulatorNode
@@ -49,7 +49,8 @@ def test_robot_is_identified_from_the_motion_of_the_example(tmp_path, capsys) ->
 
 
 def test_all_nodes_take_the_file_as_it_is(tmp_path, capfd) -> None:
-    found = Identified(RobotParameters(shell_radius=0.31, max_rotor_speed=95.0))
+    given = Given(RobotParameters(shell_radius=0.31, max_rotor_speed=95.0))
+    found = Identified(given, given.robot)
     found.controller = {
         "drive_lag": Entry(0.012, "+- 0.001"), "pose_position_noise": Entry(2e-3),
         "pose_orientation_noise": Entry(6e-3),

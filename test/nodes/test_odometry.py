@@ -184,7 +184,7 @@ def test_no_pose_is_published_while_the_position_is_not_known(loop) -> None:
     assert statuses[-1].level == DiagnosticStatus.ERROR and not loop.poses
     loop.send("initialpose", pose_from_ros(loop.truths[-1]), RVIZ)
     loop.graph.until(lambda: loop.poses)
-    assert not node.odometry.is_lost
+    assert not node.odometry.faults.is_lost
     loop.graph.until(lambda: arrivals[-1].data)
 
 

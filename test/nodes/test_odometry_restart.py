@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.serialization import serialize_message
 from robot_at_rest import STEP, RobotAtRest
 from std_srvs.srv import Trigger
 
@@ -24,7 +25,7 @@ PLACE = upright_state(1.2, -0.4, 0.7)
 def put(robot: RobotAtRest, pose: Vector) -> None:
     message = PoseWithCovarianceStamped()
     message.pose.pose = pose_to_ros(pose, 0, 0.3).pose
-    robot.node._set_pose(message)
+    robot.node._set_pose(serialize_message(message))
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def assert_lost(robot: RobotAtRest, reason: str) -> None:
     level, message = robot.status
     assert level == ERROR and message.startswith("position not known: given the pose of "), message
     assert reason in message and "until pose_fix or initialpose gives it" in message
-    assert not robot.poses and robot.node.odometry.is_lost
+    assert not robot.poses and robot.node.odometry.faults.is_lost
     assert np.trace(robot.node.odometry.estimate.covariance[:2, :2]) > 1.0
     put(robot, PLACE)
     robot.stay(0.5)

@@ -308,7 +308,7 @@ MISTAKES: dict[Callable[..., None], tuple[str, str]] = {
     readings_without_a_stamp: ("odometry", "readings of the IMU on …"),
     readings_that_end: ("odometry", "no IMU: given none"),
     no_imu: ("odometry", "no IMU: given no publisher"),
-    rotor_speeds_that_end: ("odometry", "cannot be told; … is published by"),
+    rotor_speeds_that_end: ("odometry", "cannot be seen; … is published by"),
     pose_of_the_simulator_beside: ("odometry", "the pose jumps between them"),
     odometry_without_an_imu: ("controller", "… reports …"),
     rotor_speeds_without_a_stamp: ("odometry", "no stamp: given rotor speeds"),

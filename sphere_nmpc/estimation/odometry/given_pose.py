@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS, with_block
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 LEAST_DEVIATION = 1e-6
@@ -17,8 +18,6 @@ MOST_VARIANCE = (1e6, math.pi**2)
 _NEARLY = 0.2
 """Angle within which a vertical is the opposite one [rad]."""
 _OPPOSITE = "; or has the accelerometer the opposite sign?"
-_CONTRADICTED = 6.0
-"""Standard deviations [-] by which a given tilt may differ from that which gravity shows."""
 
 
 class Fix(NamedTuple):
@@ -60,9 +59,7 @@ def with_vertical(given: Fix, vertical: Vector, tilt: Vector) -> Fix:
     if length < 1e-9:
         axis, length = np.array((1.0, 0.0, 0.0)), 1.0
     q = rotation.product(given.pose[QUATERNION], rotation.exponential(axis * (between / length)))
-    covariance = given.covariance.copy()
-    covariance[2:4, :] = covariance[:, 2:4] = 0.0
-    covariance[2:4, 2:4] = tilt
+    covariance = with_block(given.covariance, slice(2, 4), tilt)
     pose = np.concatenate((given.pose[:2], q / math.sqrt(float(q @ q))))
     return given._replace(pose=pose, covariance=covariance)
 
@@ -78,7 +75,7 @@ def contradiction(given: Fix, vertical: Vector, spread: float) -> tuple[str, boo
     stated = rotation.vertical(given.pose[QUATERNION])
     between = rotation.between(vertical, stated)
     known = float(np.trace(given.covariance[2:4, 2:4]))
-    allowed = _CONTRADICTED * math.sqrt(known + spread**2)
+    allowed = CONTRADICTING_DEVIATIONS * math.sqrt(known + spread**2)
     if between <= allowed or not has_tilt(given.covariance):
         return "", False
     is_opposite = between > math.pi - _NEARLY

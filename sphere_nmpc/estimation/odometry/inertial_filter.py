@@ -21,6 +21,7 @@ import numpy as np
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.inertial_motion import (
     Motion,
+    SensorMap,
     cross,
     crosses,
     sensor_map,
@@ -34,7 +35,6 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     MOMENTUM,
     OFFSET,
     PHI,
-    POSE_ERROR,
     RADIUS,
     SIZE,
     Belief,
@@ -47,6 +47,7 @@ from sphere_nmpc.estimation.odometry.rotor_model import RotorModel
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
@@ -68,22 +69,17 @@ class InertialFilter:
         self, imu: ImuSettings, robot: RobotParameters, numbers: OdometryNumbers,
         pivoting: float = 0.0,
     ) -> None:
-        self._pivoting = pivoting
-        # Below these the errors of the discretisation are larger.
-        gyro, accelerometer = numbers.least_noises
-        self.imu = replace(
-            imu, gyro_noise=max(imu.gyro_noise, gyro),
-            accelerometer_noise=max(imu.accelerometer_noise, accelerometer),
-        )
+        self.imu, self._numbers, self._pivoting = imu, numbers, pivoting
         """Settings of the IMU, with noises that may have been raised."""
-        self._numbers = numbers
+        # Below these the errors of the discretisation are larger.
+        self.raise_noises(*numbers.least_noises)
         self.rotors = RotorModel(robot)
         """How the shell turns by the rotors."""
         self.radius = robot.shell_radius
         self.turn, self._place = imu.turn, np.array(imu.position)
 
     def raise_noises(self, gyro: float, accelerometer: float) -> None:
-        """Raise the noise densities to those that were seen at rest, where they are larger."""
+        """Raise the noise densities to these, as they were seen at rest, where they are larger."""
         self.imu = replace(
             self.imu, gyro_noise=max(self.imu.gyro_noise, gyro),
             accelerometer_noise=max(self.imu.accelerometer_noise, accelerometer),
@@ -92,6 +88,10 @@ class InertialFilter:
     def rolled(self, belief: Belief) -> float:
         """Return the radius as estimated [m]."""
         return self.radius * (1.0 + float(belief.numbers[RADIUS - FIRST]))
+
+    def sensor(self, belief: Belief) -> SensorMap:
+        """Return how readings are corrected."""
+        return sensor_map(belief, self.turn)
 
     def moved(self, pose: Vector, rates: Vector, step: float, radius: float) -> Vector:
         """Return the pose after a step [s] with body rates [rad/s] at its ends, shape (2, 3)."""
@@ -131,7 +131,7 @@ class InertialFilter:
     def _motion(self, belief: Belief, samples: Samples) -> Motion:
         """Return how the shell has moved: by the gyro, else the rotors; not at all at rest."""
         number, pose = len(samples.times), belief.pose
-        sensor = sensor_map(belief, self.turn)
+        sensor = self.sensor(belief)
         forces = np.array(samples.forces)
         rates: Vector = np.zeros((number, 3))
         if samples.usable and not samples.still:
@@ -291,7 +291,8 @@ class InertialFilter:
                 belief = belief._replace(covariance=covariance)
                 found, _, _ = self._updated(belief, by, innovation, noise, math.inf)
         if samples.still:
-            found = self._at_rest(found, motion, samples)
+            measured = self._rate_at_rest(found, motion, samples)
+            found, _, _ = self._updated(found, *measured, largest)
         return found, square
 
     def rest_square(self, belief: Belief, samples: Samples) -> float:
@@ -317,18 +318,12 @@ class InertialFilter:
         In rad/s and the body frame.
         """
         duration = samples.duration
-        sensor = sensor_map(belief, self.turn)
-        measured = sensor.rates(np.array(samples.rates), np.array(samples.forces))
+        measured = self.sensor(belief).rates(np.array(samples.rates), np.array(samples.forces))
         turn = motion.turns[0] @ self.turn
         forces = np.tile(GRAVITY * turn[2], (len(measured), 1))
         by = -np.tensordot(motion.weights / duration, motion.rate_errors(forces), 1)
         noise = self.imu.gyro_noise**2 / duration * np.eye(3)
         return np.asarray(by, float), motion.weights @ measured / duration, noise
-
-    def _at_rest(self, belief: Belief, motion: Motion, samples: Samples) -> Belief:
-        """Return the belief with the rate of the shell, which is zero, taken into account."""
-        measured = self._rate_at_rest(belief, motion, samples)
-        return self._updated(belief, *measured, self._numbers.improbable(3))[0]
 
     def with_other_bias(self, belief: Belief, samples: Samples) -> Belief:
         """Return the belief of a gyro whose bias is another one, as its rate at rest shows.

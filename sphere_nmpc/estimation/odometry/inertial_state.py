@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import POSE_ERROR, with_block
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 
 P, PHI, GYRO_BIAS, FORCE_BIAS = slice(0, 2), slice(2, 5), slice(5, 8), slice(8, 11)
@@ -37,8 +38,7 @@ ARM, MOMENTUM, CONSTANTS, RADIUS, OFFSET, SIZE = (
     slice(38, 41), slice(41, 44), slice(44, 47), 47, 48, 49,
 )
 """Places in the error; matrices are there by rows."""
-POSE_ERROR = slice(0, 5)
-FIRST = 5
+FIRST = POSE_ERROR.stop
 """Size of the error of the pose, behind which the error is one of numbers."""
 
 
@@ -86,31 +86,22 @@ class Findings(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Readings of an interval, from its start to its end, and speeds of the rotors at these.
-
-    Attributes
-    ----------
-    times : list of float
-        [s], n + 1 of them.
-    rates, forces : list of ndarray, each shape (3,)
-        Angular velocity [rad/s] and specific force [m/s^2] in the axes of the sensor.
-    valid : list of bool
-        Whether gyro and accelerometer can be believed.
-    speeds : ndarray, shape (n + 1, 2), optional
-        Speeds of the rotors [rad/s]; None where they are not known.
-    bend : float
-        Second differences of these speeds: root of their sum of squares [rad/s].
-    still : bool
-        Whether the shell is at rest.
-    """
+    """Readings of an interval, from its start to its end, and speeds of the rotors at these."""
 
     times: list[float]
+    """Times [s], n + 1 of them."""
     rates: list[Vector]
+    """Angular velocities [rad/s; axes of the sensor], each of shape (3,)."""
     forces: list[Vector]
+    """Specific forces [m/s^2; axes of the sensor], each of shape (3,)."""
     valid: list[bool]
+    """Whether gyro and accelerometer can be believed."""
     speeds: Vector | None = None
+    """Speeds of the rotors [rad/s], shape (n + 1, 2); None where they are not known."""
     bend: float = 0.0
+    """Second differences of these speeds: root of their sum of squares [rad/s]."""
     still: bool = False
+    """Whether the shell is at rest."""
 
     @property
     def usable(self) -> bool:
@@ -144,9 +135,7 @@ class Samples(NamedTuple):
 
 def replaced(belief: Belief, pose: Vector, covariance: Vector) -> Belief:
     """Return a belief at another pose, with the covariance of its error, shape (5, 5)."""
-    changed = belief.covariance.copy()
-    changed[POSE_ERROR, :] = changed[:, POSE_ERROR] = 0.0
-    changed[POSE_ERROR, POSE_ERROR] = covariance
+    changed = with_block(belief.covariance, POSE_ERROR, covariance)
     return belief._replace(pose=pose, covariance=changed, unexplained=np.zeros(3), height=0.0)
 
 

@@ -13,11 +13,9 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.estimation.odometry.pose_estimate import PoseEstimate
 from sphere_nmpc.foreign.own_folder import KeptFile
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import EXPECTED_DEVIATIONS
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, as_state
 
-_DIFFERENT = 3.0
-"""Standard deviations [-] by which a kept tilt may differ from the measured one, whose bias is
-mostly the same."""
 _TURNED = 0.1
 """Difference of rotor angles [rad] by which the rotors have turned meanwhile: the sphere of
 Table 1 rolls by 0.5 mm."""
@@ -29,22 +27,15 @@ _TURN = slice(2, 5)
 
 
 class KeptPose(NamedTuple):
-    """What was known of the sphere when it was kept.
-
-    Attributes
-    ----------
-    pose, covariance : ndarray
-        As in `PoseEstimate`.
-    is_at_rest : bool
-        Whether it rested, at a position that was known.
-    angles : ndarray, shape (2,), optional
-        Angles of the rotors [rad]; None where they were not known.
-    """
+    """What was known of the sphere when it was kept."""
 
     pose: Vector
     covariance: Vector
+    """Covariance of the error of the pose, as in `PoseEstimate`."""
     is_at_rest: bool
+    """Whether it rested, at a position that was known."""
     angles: Vector | None
+    """Angles of the rotors [rad], shape (2,); None where they were not known."""
 
     def contradiction(self, age: float, found: PoseEstimate, angles: Vector | None) -> str:
         """Return why the sphere need not be where it was `age` [s] ago, in words; else "".
@@ -58,7 +49,8 @@ class KeptPose(NamedTuple):
         before, now = (rotation.vertical(one[QUATERNION]) for one in (self.pose, found.pose))
         between = rotation.between(before, now)
         tilts = (_tilt(self.covariance, before), _tilt(found.covariance, now))
-        allowed = _DIFFERENT * math.sqrt(sum(tilts))
+        # The bias is mostly the same.
+        allowed = EXPECTED_DEVIATIONS * math.sqrt(sum(tilts))
         if between > allowed:
             return (
                 f"{given}, whose vertical is {math.degrees(between):.1f} deg from that of the "

@@ -7,13 +7,11 @@ import math
 import numpy as np
 
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap, sensor_map
+from sphere_nmpc.estimation.odometry.inertial_motion import SensorMap
 from sphere_nmpc.estimation.odometry.inertial_state import Belief, Samples
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS
 from sphere_nmpc.model.state import QUATERNION, Vector
-
-_FASTER = 6.0
-"""Standard deviations [-] by which a rate has to differ from that at rest to move the pose."""
 
 
 class NewestPose:
@@ -39,27 +37,23 @@ class NewestPose:
 
         `speeds` are the newest ones of the rotors [rad/s], shape (2,); None without any.
         """
-        self.pose, self._sensor = belief.pose, sensor_map(belief, self._filter.turn)
+        self.pose, self._sensor = belief.pose, self._filter.sensor(belief)
         for last in range(1, len(samples.times)):
             self.move(belief, samples, last, speeds)
 
     def move(self, belief: Belief, samples: Samples, last: int, speeds: Vector | None) -> None:
         """Move from the reading before the one of this index up to that."""
-        pair = self._rates(belief, samples, slice(last - 1, last + 1), speeds)
+        two = slice(last - 1, last + 1)
+        if all(samples.valid[two]) and self._sensor is not None:
+            pair = self._sensor.rates(np.array(samples.rates[two]), np.array(samples.forces[two]))
+        elif speeds is None:
+            pair = np.zeros((2, 3))
+        else:
+            turn = rotation.matrix(self.pose[QUATERNION])
+            pair = np.array([self._filter.rotors.rate(belief, turn, speeds)[0]] * 2)
         step, self.rate = samples.times[last] - samples.times[last - 1], pair[1]
-        if self.was_still and float(pair[1] @ pair[1]) < (_FASTER * self.scatter) ** 2:
+        limit = CONTRADICTING_DEVIATIONS * self.scatter
+        if self.was_still and float(pair[1] @ pair[1]) < limit**2:
             self.rate = np.zeros(3)
             return
         self.pose = self._filter.moved(self.pose, pair, step, self._filter.rolled(belief))
-
-    def _rates(
-        self, belief: Belief, samples: Samples, two: slice, speeds: Vector | None
-    ) -> Vector:
-        """Return the angular velocities of two readings [rad/s; body frame], shape (2, 3)."""
-        if all(samples.valid[two]) and self._sensor is not None:
-            return self._sensor.rates(np.array(samples.rates[two]), np.array(samples.forces[two]))
-        if speeds is None:
-            return np.zeros((2, 3))
-        turn = rotation.matrix(self.pose[QUATERNION])
-        rate = self._filter.rotors.rate(belief, turn, speeds)[0]
-        return np.array((rate, rate))

@@ -18,7 +18,6 @@ from sphere_nmpc.estimation.odometry.given_pose import Fix
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
 from sphere_nmpc.estimation.odometry.inertial_state import (
     GYRO_BIAS,
-    POSE_ERROR,
     Belief,
     Samples,
 )
@@ -30,6 +29,7 @@ from sphere_nmpc.estimation.odometry.rest import RestDetector
 from sphere_nmpc.estimation.odometry.rotor_speeds import RotorSpeeds
 from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, as_state
 from sphere_nmpc.model.units import RobotUnits
@@ -106,11 +106,6 @@ class Odometry:
     def delay(self) -> float:
         """Time by which readings of the IMU are later than their stamps [s]."""
         return 0.5 * self._step if self._imu.delay < 0.0 else self._imu.delay
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the position is not known until a pose is given."""
-        return self.faults.is_lost
 
     @property
     def estimate(self) -> PoseEstimate | None:
@@ -260,7 +255,7 @@ class Odometry:
             given = "given none" if newest < 0.0 else f"given none for {time - newest:.2f} s"
             self.faults.see(Kind.IMU_SILENT, time, given)
         if self._speeds.times and not self._speeds.reach(time - self._numbers.silence):
-            self.faults.see(Kind.ENCODERS_SILENT, time, "slow motions and pushes cannot be told")
+            self.faults.see(Kind.ENCODERS_SILENT, time, "slow motions and pushes cannot be seen")
         self.faults.forget_before(time - self._numbers.remembered)
 
     def forget(self) -> None:
@@ -367,7 +362,7 @@ class Odometry:
         if needed > 0.0:
             if self._rest.duration < needed * (1.0 - 1e-6):
                 return
-            samples, densities, scatter = self._rest.rested
+            samples, densities, scatter = self._rest.rested()
             norm = float(np.linalg.norm(samples.forces[0]))
             if not self.faults.gravity(samples.times[-1], norm):
                 return

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.estimation.odometry.given_pose import (
     LEAST_DEVIATION,
     Fix,
@@ -16,7 +15,6 @@ from sphere_nmpc.estimation.odometry.given_pose import (
     with_vertical,
 )
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
 from sphere_nmpc.estimation.odometry.inertial_state import (
     ARM,
     BY_FORCE,
@@ -29,7 +27,6 @@ from sphere_nmpc.estimation.odometry.inertial_state import (
     MOMENTUM,
     OFFSET,
     PHI,
-    POSE_ERROR,
     RADIUS,
     SIZE,
     Belief,
@@ -40,6 +37,7 @@ from sphere_nmpc.estimation.odometry.sensor_faults import SensorFaults
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers, OdometrySettings
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.reporting.conditions import Kind
 
@@ -70,7 +68,12 @@ class Placement:
     ) -> None:
         self._filter, self._settings = inertial, settings
         self._numbers, self._faults = numbers, faults
-        self._spread = tilt_deviation(inertial.imu)
+        imu = inertial.imu
+        self._spread = math.hypot(
+            imu.accelerometer_bias / GRAVITY, imu.orientation_deviation, imu.cross_axis,
+            imu.accelerometer_scale,
+        )
+        """Standard deviation of a tilt that is measured by gravity alone [rad]."""
 
     def covariance(self, pose: Vector, covariance: Vector | None) -> Vector:
         """Return the covariance of a given pose in the world frame, shape (5, 5)."""
@@ -89,9 +92,7 @@ class Placement:
         `late` is the expected offset of stamps [s].
         """
         rate = samples.rates[0] if samples.still else np.zeros(3)
-        belief = initial_belief(
-            given.pose, self._filter.imu, self._settings, self._numbers, late, rate
-        )
+        belief = self._initial(given.pose, late, rate)
         vertical = self._filter.turn @ np.mean(samples.forces, axis=0)
         vertical = vertical / max(float(np.linalg.norm(vertical)), 1e-3)
         begun = given._replace(time=samples.times[-1])
@@ -123,8 +124,8 @@ class Placement:
         shown, spread = vertical, math.sqrt(float(np.trace(tilt)))
         if rested is not None:
             # What is measured, and not what is believed, which may be what has to be mended.
-            sensor = sensor_map(belief, self._filter.turn)
-            shown = self._filter.turn @ sensor.forces(np.array(rested.forces))[0]
+            forces = self._filter.sensor(belief).forces(np.array(rested.forces))
+            shown = self._filter.turn @ forces[0]
             shown, spread = shown / max(float(np.linalg.norm(shown)), 1e-3), self._spread
         return self._at(belief, given, (shown, spread), (vertical, tilt))
 
@@ -145,41 +146,33 @@ class Placement:
             given = with_vertical(given, *taken)
         return replaced(belief, given.pose, given.covariance)
 
+    def _initial(self, pose: Vector, late: float, rate: Vector) -> Belief:
+        """Return what is known of sensors and robot before the first reading, with an exact pose.
 
-def initial_belief(
-    pose: Vector, imu: ImuSettings, settings: OdometrySettings, numbers: OdometryNumbers,
-    late: float, rate: Vector,
-) -> Belief:
-    """Return what is known of sensors and robot before the first reading, with an exact pose.
-
-    `late` is the expected offset of stamps [s], `rate` the mean rate at rest [rad/s], shape (3,),
-    which may be a bias larger than expected.
-    """
-    variances: Vector = np.zeros(SIZE)
-    variances[GYRO_BIAS] = imu.gyro_bias**2 + rate**2
-    variances[FORCE_BIAS] = imu.accelerometer_bias**2
-    cross = np.full((3, 3), imu.cross_axis**2)
-    for part, scale in ((GYRO_MATRIX, imu.gyro_scale), (FORCE_MATRIX, imu.accelerometer_scale)):
-        np.fill_diagonal(cross, scale**2)
-        variances[part] = cross.ravel()
-    variances[BY_FORCE], variances[ARM] = imu.g_sensitivity**2, imu.position_deviation**2
-    variances[MOMENTUM], variances[CONSTANTS] = numbers.push**2, settings.constants_deviation**2
-    variances[RADIUS], variances[OFFSET] = settings.radius_deviation**2, numbers.offset**2
-    covariance = np.diag(variances)
-    # A mounting that is turned by m: both sensors show (I - [m]x) of what there is.
-    by = np.zeros((SIZE, 3))
-    for axis, unit in enumerate(np.eye(3)):
-        turned = np.cross(unit, np.eye(3))  # its rows are the columns of the matrix, so of [m]x^T
-        by[GYRO_MATRIX, axis] = by[FORCE_MATRIX, axis] = turned.ravel()
-    covariance += imu.orientation_deviation**2 * by @ by.T
-    values: Vector = np.zeros(SIZE - FIRST)
-    values[OFFSET - FIRST] = late
-    return Belief(pose, values, covariance, np.zeros(3), np.zeros(3))
-
-
-def tilt_deviation(imu: ImuSettings) -> float:
-    """Return the standard deviation of a tilt that is measured by gravity alone [rad]."""
-    return math.hypot(
-        imu.accelerometer_bias / GRAVITY, imu.orientation_deviation, imu.cross_axis,
-        imu.accelerometer_scale,
-    )
+        `late` is the expected offset of stamps [s], `rate` the mean rate at rest [rad/s], shape
+        (3,), which may be a bias larger than expected.
+        """
+        imu, settings, numbers = self._filter.imu, self._settings, self._numbers
+        variances: Vector = np.zeros(SIZE)
+        variances[GYRO_BIAS] = imu.gyro_bias**2 + rate**2
+        variances[FORCE_BIAS] = imu.accelerometer_bias**2
+        cross = np.full((3, 3), imu.cross_axis**2)
+        scales = (GYRO_MATRIX, imu.gyro_scale), (FORCE_MATRIX, imu.accelerometer_scale)
+        for part, scale in scales:
+            np.fill_diagonal(cross, scale**2)
+            variances[part] = cross.ravel()
+        variances[BY_FORCE], variances[ARM] = imu.g_sensitivity**2, imu.position_deviation**2
+        variances[MOMENTUM] = numbers.push**2
+        variances[CONSTANTS] = settings.constants_deviation**2
+        variances[RADIUS], variances[OFFSET] = settings.radius_deviation**2, numbers.offset**2
+        covariance = np.diag(variances)
+        # A mounting that is turned by m: both sensors show (I - [m]x) of what there is.
+        by = np.zeros((SIZE, 3))
+        for axis, unit in enumerate(np.eye(3)):
+            # Its rows are the columns of the matrix, so of [m]x^T.
+            turned = np.cross(unit, np.eye(3))
+            by[GYRO_MATRIX, axis] = by[FORCE_MATRIX, axis] = turned.ravel()
+        covariance += imu.orientation_deviation**2 * by @ by.T
+        values: Vector = np.zeros(SIZE - FIRST)
+        values[OFFSET - FIRST] = late
+        return Belief(pose, values, covariance, np.zeros(3), np.zeros(3))

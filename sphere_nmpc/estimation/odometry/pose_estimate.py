@@ -8,36 +8,28 @@ from typing import NamedTuple
 import numpy as np
 
 from sphere_nmpc.estimation.odometry.inertial_filter import ROLL, InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_state import GYRO_BIAS, POSE_ERROR, Belief
+from sphere_nmpc.estimation.odometry.inertial_state import GYRO_BIAS, Belief
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 
 class PoseEstimate(NamedTuple):
-    """Pose and velocity at the instant of a reading.
-
-    Attributes
-    ----------
-    time : float
-        Control time of the newest reading [s].
-    pose : ndarray, shape (6,)
-        Position [m] and quaternion wxyz, body to world.
-    covariance : ndarray, shape (5, 5)
-        Of the error [dx, dy, a1, a2, a3]: position [m; world frame], rotation [rad; body frame].
-    velocity : ndarray, shape (3,)
-        Of the centre [m/s; world frame].
-    body_rate : ndarray, shape (3,)
-        Angular velocity [rad/s; body frame].
-    twist_covariance : ndarray, shape (6, 6)
-        Of linear [m/s] and angular velocity [rad/s], both in the body frame.
-    """
+    """Pose and velocity at the instant of a reading."""
 
     time: float
+    """Control time of the newest reading [s]."""
     pose: Vector
+    """Position [m] and quaternion wxyz, body to world, shape (6,)."""
     covariance: Vector
+    """Covariance of the error [dx, dy, a1, a2, a3], shape (5, 5): position [m; world frame],
+    rotation [rad; body frame]."""
     velocity: Vector
+    """Velocity of the centre [m/s; world frame], shape (3,)."""
     body_rate: Vector
+    """Angular velocity [rad/s; body frame], shape (3,)."""
     twist_covariance: Vector
+    """Covariance of linear [m/s] and angular velocity [rad/s; body frame], shape (6, 6)."""
 
     @property
     def deviations(self) -> tuple[float, float, float]:

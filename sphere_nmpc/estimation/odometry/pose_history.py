@@ -16,10 +16,11 @@ from sphere_nmpc.estimation.odometry.given_pose import (
     with_vertical,
 )
 from sphere_nmpc.estimation.odometry.inertial_filter import InertialFilter
-from sphere_nmpc.estimation.odometry.inertial_motion import sensor_map
-from sphere_nmpc.estimation.odometry.inertial_state import POSE_ERROR, Belief, Samples, replaced
+from sphere_nmpc.estimation.odometry.inertial_state import Belief, Samples, replaced
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
+from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model import rotation
+from sphere_nmpc.model.error_state import POSE_ERROR
 from sphere_nmpc.model.state import QUATERNION, Vector
 
 
@@ -41,7 +42,7 @@ class PoseHistory:
     memory : float
         Age up to which fixes are used [s].
     numbers : OdometryNumbers
-        When a fix is left out, and how many are in a row before the next one is believed.
+        When a fix is left out.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class PoseHistory:
         belief, samples = self._end_of(interval), interval.samples
         rate: Vector = np.zeros((1, 3))
         if not samples.still:
-            sensor = sensor_map(belief, self._filter.turn)
+            sensor = self._filter.sensor(belief)
             rate = sensor.rates(np.array(samples.rates[-1:]), np.array(samples.forces[-1:]))
         # The nearest reading is up to half a sample from it.
         pose = self._filter.moved(
@@ -88,7 +89,7 @@ class PoseHistory:
         fixed, square = self._filter.with_pose(belief, fix.pose, fix.covariance, math.inf)
         is_off = square > self._numbers.improbable(5)
         # Several in a row agree with each other rather than with the filter.
-        most = self._numbers.most_outliers
+        most = TABLE_1_NUMBERS.most_outliers
         if is_off and self._refused < most:
             self._refused += 1
             return f"{_differing(fix, belief)}; after {most} in a row the next one is believed"

@@ -44,17 +44,6 @@ class _Block(NamedTuple):
     """Variance of the rate within the interval [rad^2/s^2]."""
 
 
-class Rested(NamedTuple):
-    """Readings at rest."""
-
-    samples: Samples
-    """Mean of the readings, as an interval of their duration."""
-    densities: Vector
-    """Noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)], shape (2,)."""
-    scatter: float
-    """Standard deviation of a rate at an instant, about an axis [rad/s]."""
-
-
 class RestDetector:
     """Test of whether the shell is at rest.
 
@@ -83,16 +72,19 @@ class RestDetector:
         """Time at rest [s]; 0 in motion."""
         return 0.0 if math.isnan(self.since) else self._blocks[-1].end - self.since
 
-    @property
-    def rested(self) -> Rested:
-        """The readings of the present rest."""
+    def rested(self) -> tuple[Samples, Vector, float]:
+        """Return the mean of the readings of the present rest, as an interval of its duration.
+
+        Also the noise densities of gyro [rad/s/sqrt(Hz)] and accelerometer [m/s^2/sqrt(Hz)], (2,),
+        and the standard deviation of a rate at an instant, about an axis [rad/s].
+        """
         rows = np.array([block.means[:6] for block in self._blocks])
         step = self._blocks[-1].end - self._blocks[-1].start
         variances = step * rows.var(axis=0, ddof=1)
         densities = np.sqrt((variances[:3].mean(), variances[3:].mean()))
         scatter = math.sqrt(float(np.mean([block.scatter for block in self._blocks])))
         samples = self._at_rest(self.since, self._sum[:6] / self.duration)
-        return Rested(samples, densities, scatter)
+        return samples, densities, scatter
 
     def recent(self, duration: float) -> Samples:
         """Return the mean of the readings of the last `duration` [s], or as far as they go."""

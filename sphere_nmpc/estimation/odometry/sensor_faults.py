@@ -11,7 +11,7 @@ from sphere_nmpc.estimation.odometry.inertial_filter import SATURATED
 from sphere_nmpc.estimation.odometry.inertial_state import OFFSET, Belief, Findings, Samples
 from sphere_nmpc.estimation.odometry_settings import OdometryNumbers
 from sphere_nmpc.model.disturbance import GRAVITY
-from sphere_nmpc.model.error_state import SIGNIFICANT_DEVIATIONS
+from sphere_nmpc.model.error_state import CONTRADICTING_DEVIATIONS, SIGNIFICANT_DEVIATIONS
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.reporting.conditions import Condition, Kind, worst_first
 
@@ -21,8 +21,6 @@ _CONTRADICTIONS = 8
 """Intervals in which the shell turns otherwise than by the rotors: a push takes some."""
 _TURNING = 1.0
 """Speed by the angles at which the rotors turn [rad/s]: an encoder that toggles shows less."""
-_LARGE = 6.0
-"""Standard deviations [-] by which a force or a bias at rest may differ from what is expected."""
 LOST = frozenset((Kind.LIFTED, Kind.POSITION_UNKNOWN))
 """Kinds that last until a pose is given, as the position is not known."""
 _LASTING = LOST | {Kind.TILT_REPLACED, Kind.NO_GRAVITY, Kind.LARGE_BIAS}
@@ -84,7 +82,7 @@ class SensorFaults:
         """Return whether the norm of a specific force at rest [m/s^2] is that of gravity."""
         imu, convention = self._imu, convention_of(norm)
         spread = math.hypot(imu.accelerometer_bias, GRAVITY * imu.accelerometer_scale)
-        if abs(norm - GRAVITY) > max(_LARGE * spread, 0.1 * GRAVITY):
+        if abs(norm - GRAVITY) > max(CONTRADICTING_DEVIATIONS * spread, 0.1 * GRAVITY):
             self.see(
                 Kind.NO_GRAVITY, time,
                 f"given a specific force of {norm:.3g} m/s^2 at rest, expected {GRAVITY:.2f} "
@@ -97,7 +95,7 @@ class SensorFaults:
     def bias(self, time: float, bias: Vector) -> None:
         """Take a bias of the gyro [rad/s], shape (3,)."""
         largest = float(np.max(np.abs(bias)))
-        if largest > _LARGE * self._imu.gyro_bias:
+        if largest > CONTRADICTING_DEVIATIONS * self._imu.gyro_bias:
             self.see(
                 Kind.LARGE_BIAS, time,
                 f"given {largest:.2g} rad/s, expected some imu.gyro_bias = "

@@ -13,10 +13,10 @@ from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Condition
 from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch
+from sphere_nmpc.settings import ControllerSettings
 
-MOST_AHEAD = 0.5
-"""Age of a reading from which on its stamp counts as one of another clock, and how far it may be
-ahead [s]: the `pose_timeout` at which a controller gives its poses up."""
+MOST_AHEAD = ControllerSettings().pose_timeout
+"""Age of a reading at which its stamp is of another clock, and how far ahead it may be [s]."""
 
 
 class SensorStream(StampWatch):

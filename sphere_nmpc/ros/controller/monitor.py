@@ -15,9 +15,9 @@ from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch
 from sphere_nmpc.ros.controller.pose_source import PoseSource
 from sphere_nmpc.ros.graph_monitor import several_publishers
 from sphere_nmpc.ros.guarded_node import GuardedNode
-from sphere_nmpc.ros.input_monitor import POSES, InputMonitor
+from sphere_nmpc.ros.input_monitor import CHECK_EVERY, POSES, SILENCE_LIMIT, InputMonitor
 
-_MISSING = 0.5
+_MISSING = SILENCE_LIMIT - 3.0 * CHECK_EVERY
 """Silence of the poses after which the status of their source is read [s, wall], so that it is
 known when they count as missing."""
 

@@ -41,22 +41,19 @@ from sphere_nmpc.ros.controller.rotor_receiver import RotorReceiver
 from sphere_nmpc.ros.floor_receiver import FloorReceiver, floor_with_distances
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST
+from sphere_nmpc.ros.input_monitor import CHECK_EVERY
 from sphere_nmpc.ros.lifetime import run
 from sphere_nmpc.ros.settings import ControllerNodeSettings, FrameSettings, SchedulingSettings
-from sphere_nmpc.ros.stored import Stored, stored_file
+from sphere_nmpc.ros.stored import SAVE_EVERY, Stored
 from sphere_nmpc.settings import STRATEGIES
 from sphere_nmpc.worker.process import WorkerProcess
 
-_CHECK_EVERY = 0.25
-"""Wall time between two checks of clock, pose and topics [s]."""
 _FOUND_EVERY = 4e-3
 """Wall time between two looks for the plan of a search, while one is under way [s]."""
 _SELDOM = 0.05
 """Control period above which a command that may be lost is sent again before the next one [s]."""
 _GOAL_LOGGED_EVERY = 0.1
 """Least wall time between two reports of one goal that is given again and again [s]."""
-_SAVE_EVERY = 1.0
-"""Wall time after which the goal in force is stored again [s]."""
 
 
 class ControllerNode(ClockedNode):
@@ -95,10 +92,9 @@ class ControllerNode(ClockedNode):
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._goal_logged_at = -math.inf
-        keep = settings.goal_memory
         self._stored_goal = Stored(
-            goal_memory(stored_file(self, "goal"), keep) if keep > 0.0 else None,
-            self._control_clock, self._fault_log, "goal", "without a goal",
+            self, goal_memory, settings.goal_memory, self._control_clock, self._fault_log, "goal",
+            "without a goal",
         )
         # Before the publisher of commands, so that nobody finds that one alone.
         self._period_publisher = self.create_publisher(Float64, "control_period", LATCHED)
@@ -118,8 +114,8 @@ class ControllerNode(ClockedNode):
         self._subscribe(robot.shell_radius)
         self._timer: Timer | None = None
         self._set_timer()
-        self.create_wall_timer(_CHECK_EVERY, self._check)
-        self.create_wall_timer(_SAVE_EVERY, self._save_goal)
+        self.create_wall_timer(CHECK_EVERY, self._check)
+        self.create_wall_timer(SAVE_EVERY, self._save_goal)
         self._found_timer = self.create_wall_timer(_FOUND_EVERY, self._use_found)
         self._found_timer.cancel()
 
@@ -295,7 +291,7 @@ class ControllerNode(ClockedNode):
         now = clock.steady_now()
         given = None if now is None else clock.own_time(goals.stamp, now)
         is_new = self.controller.following.take(goals, now if given is None else given)
-        self._stored_goal.supersede()
+        self._stored_goal.is_settled = True
         if not is_new and wall < self._goal_logged_at + _GOAL_LOGGED_EVERY:
             return
         self._goal_logged_at = wall
@@ -313,7 +309,7 @@ class ControllerNode(ClockedNode):
 
     def _cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was_in_force = self.controller.cancel()
-        self._stored_goal.supersede()
+        self._stored_goal.is_settled = True
         self._save_goal()
         self._stop()
         response.success = True

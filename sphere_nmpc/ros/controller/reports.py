@@ -103,6 +103,7 @@ class ControllerReports:
         self._warnings: tuple[Condition, ...] = ()
         """Warnings of the last status, the worst first."""
         self._plan_message = Kind.NO_POSE.value
+        """Message of a status without a warning: its mode, and what is said of the plan."""
         self._status_at = perf_counter()
         self._diagnostics = Diagnostics(
             node, now, {"solver": self._solver, "loop": self._loop}, status=10
@@ -207,7 +208,7 @@ class ControllerReports:
             "floor_pending_s": self._floor_pending(),
             "pose_topic": self._monitor.topic,
         }
-        found = worst_first((*self._monitor.faults, *warnings))
+        found = worst_first((*self._monitor.graph.faults, *warnings))
         report: Report = mode.severity, message, values
         if found:
             report = with_conditions(report, found)
@@ -262,7 +263,9 @@ class ControllerReports:
         self._warnings = warnings = self._find_warnings(decision)
         self._lasting.update({one.name: one.text for one in warnings} if solved else {})
         self._values = self._status_values.values(decision, time, duration, self._schedule.missed)
-        self._plan_message = _in_words(mode, plan.message)
+        about = plan.message
+        is_all = mode is Kind.AT_GOAL or about in ("", mode.value)
+        self._plan_message = mode.value if is_all else f"{mode.value}: {about}"
         self._publish_status(mode, warnings, self._plan_message, self._values)
         self._eta.publish(Float64(data=float(self._values["time_left_s"])))
         # Making the path takes as long as a plan.
@@ -329,7 +332,7 @@ class ControllerReports:
         }
         mode = self._mode
         at = f" at {self._monitor.time:.3f} s" if mode is Kind.CLOCK_STOPPED else ""
-        found = [one._replace(text="") for one in self._monitor.faults]
+        found = [one._replace(text="") for one in self._monitor.graph.faults]
         return with_conditions((mode.severity, f"{mode.value}{at}", values), found)
 
 
@@ -338,12 +341,6 @@ def _shown(path: Path) -> Vector:
     curve = np.vstack((path.curve[:-1:_EACH], path.curve[-1]))
     half, none = 0.5 * curve[:, 2], np.zeros(len(curve))
     return np.column_stack((curve[:, :2], np.cos(half), none, none, np.sin(half)))
-
-
-def _in_words(mode: Kind, about_plan: str) -> str:
-    """Return the message of a status without a warning: its mode, and what is said of the plan."""
-    is_all = mode is Kind.AT_GOAL or about_plan in ("", mode.value)
-    return mode.value if is_all else f"{mode.value}: {about_plan}"
 
 
 def _percentiles(times: Recent) -> tuple[float, float, float]:

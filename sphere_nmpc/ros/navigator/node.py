@@ -160,7 +160,7 @@ class NavigatorNode(GuardedNode):
         self._link.update()
         self._event_log.flush()
         self._fault_log.flush()
-        goal, report = self._client.goal, self._client.report
+        pursuit, report = self._client.pursuit, self._client.report
         is_awaited = self._located.get_subscription_count() > 0
         if self._pose is None or not (is_awaited or report):
             return
@@ -169,13 +169,13 @@ class NavigatorNode(GuardedNode):
             located = PoseWithCovarianceStamped(header=pose.header)
             located.pose.pose = pose.pose
             self._located.publish(located)
-        if goal is None or report is None:
+        if pursuit is None or report is None:
             return
-        accepted = self._goals[goal]
+        accepted = self._goals[pursuit.goal]
         accepted.handle.publish_feedback(feedback_of(
             accepted.server.action_type, report,
             (self.get_clock().now().nanoseconds - accepted.stamp) / NANOSECONDS,
-            accepted.stage(self._client.stage), pose, accepted.ways,
+            accepted.stage(pursuit.stage), pose, accepted.ways,
         ))
 
     def _navigators(self) -> list[str]:

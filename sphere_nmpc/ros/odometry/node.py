@@ -32,12 +32,12 @@ from sphere_nmpc.ros import cdr
 from sphere_nmpc.ros.cdr import BODY_FRAME, LARGEST_JOINTS, seconds, stamp_of
 from sphere_nmpc.ros.control_clock import ClockedNode, ControlClock
 from sphere_nmpc.ros.graph_monitor import NO_EVENTS
+from sphere_nmpc.ros.input_monitor import CHECK_EVERY
 from sphere_nmpc.ros.lifetime import run
-from sphere_nmpc.ros.messages import stamp_from_ros, uncertain_pose_from_ros
 from sphere_nmpc.ros.odometry.reports import OdometryReports
 from sphere_nmpc.ros.pose_publisher import PosePublisher, frame_prefix
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
-from sphere_nmpc.ros.stored import Stored, stored_file
+from sphere_nmpc.ros.stored import SAVE_EVERY, Stored
 
 _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of measurements of which none may be dropped while the node is held up, for half a second at
@@ -45,10 +45,6 @@ _ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 _FEW = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DEPTH = 10
 """Poses kept for a subscriber that is slow."""
-_CHECK_EVERY = 0.25
-"""Wall time between two checks of sensors and topics, and two statuses [s]."""
-_SAVE_EVERY = 1.0
-"""Wall time after which the pose is stored again [s]."""
 
 
 class OdometryNode(ClockedNode):
@@ -80,10 +76,9 @@ class OdometryNode(ClockedNode):
         self._mounted: str | None = None if self._frames else ""
         """Frame whose mounting is in force; None before the first, "" where there is none."""
         self._given: tuple[Vector, Vector | None] | None = None
-        keep = self._settings.pose_memory
         self._stored = Stored(
-            pose_memory(stored_file(self, "pose"), keep) if keep > 0.0 else None,
-            self._control_clock, self._fault_log, "pose", "at initial_state",
+            self, pose_memory, self._settings.pose_memory, self._control_clock, self._fault_log,
+            "pose", "at initial_state",
         )
         self._recalled: tuple[KeptPose, float] | None = None
         """Pose of the last run, and its age [s, wall], until a calibration has checked it."""
@@ -105,11 +100,9 @@ class OdometryNode(ClockedNode):
             JointState, "joint_states", self._receive_joints, _ALL, largest=LARGEST_JOINTS, **raw
         )
         for topic, take in (("initialpose", self._set_pose), ("pose_fix", self._correct)):
-            self.create_subscription(
-                PoseWithCovarianceStamped, topic, take, _FEW, event_callbacks=NO_EVENTS
-            )
+            self.create_subscription(PoseWithCovarianceStamped, topic, take, _FEW, **raw)
         self.create_service(Trigger, "~/reset", self._reset)
-        self.create_wall_timer(_CHECK_EVERY, self._check)
+        self.create_wall_timer(CHECK_EVERY, self._check)
 
     @property
     def thread_priority(self) -> int:
@@ -194,8 +187,8 @@ class OdometryNode(ClockedNode):
         estimate, wall = self.odometry.estimate, time.monotonic()
         if estimate is None or self._recalled is not None:
             return
-        at_rest = not (estimate.body_rate.any() or self.odometry.is_lost)
-        if wall < self._saved_at + _SAVE_EVERY and at_rest is self._was_at_rest:
+        at_rest = not (estimate.body_rate.any() or self.odometry.faults.is_lost)
+        if wall < self._saved_at + SAVE_EVERY and at_rest is self._was_at_rest:
             return
         self._saved_at, self._was_at_rest = wall, at_rest
         self._stored.save(KeptPose(estimate.pose, estimate.covariance, at_rest, self._angles))
@@ -211,7 +204,7 @@ class OdometryNode(ClockedNode):
         if self._recalled is not None:
             self._check_recalled(*self._recalled)
         estimate, radius = self.odometry.estimate, self._robot.shell_radius
-        if estimate is None or self._epoch is None or self.odometry.is_lost:
+        if estimate is None or self._epoch is None or self.odometry.faults.is_lost:
             self._sent = []
             return
         stamp, pose = stamp_of(estimate.time, self._epoch), estimate.pose
@@ -227,10 +220,10 @@ class OdometryNode(ClockedNode):
         for publisher, message in self._sent:
             publisher.publish(message)
 
-    def _set_pose(self, message: PoseWithCovarianceStamped) -> None:
+    def _set_pose(self, message: bytes) -> None:
         """Take a pose as that of now: the stamp of who gives it is that of another clock."""
-        self._given = uncertain_pose_from_ros(message, self._frame)
-        self._stored.supersede()
+        self._given = cdr.read(message, cdr.UncertainPose).in_frame(self._frame)
+        self._stored.is_settled = True
         self._recalled = None
         estimate = self.odometry.estimate
         now = self._time(self._control_clock.stamp()) if estimate is None else estimate.time
@@ -238,12 +231,12 @@ class OdometryNode(ClockedNode):
         self._event_log.report("initialpose", f"at {self._given[0].round(3).tolist()}")
         self._publish_if_found()
 
-    def _correct(self, message: PoseWithCovarianceStamped) -> None:
-        fix = uncertain_pose_from_ros(message, self._frame)
-        stamp = stamp_from_ros(message.header.stamp)
-        if not stamp:
+    def _correct(self, message: bytes) -> None:
+        given = cdr.read(message, cdr.UncertainPose)
+        fix = given.in_frame(self._frame)
+        if not given.stamp:
             raise InvalidInputError("stamp", 0, "the time at which the fix was measured")
-        reason = self.odometry.correct(self._time(stamp), *fix)
+        reason = self.odometry.correct(self._time(given.stamp), *fix)
         if reason is not None:
             self._fault_log.report(reason.name, reason.text)
         self._publish_if_found()
@@ -273,7 +266,7 @@ class OdometryNode(ClockedNode):
 
     def _begin_anew(self) -> None:
         """Forget all, and begin at `initial_state` with a calibration."""
-        self._stored.supersede()
+        self._stored.is_settled = True
         self._stored.save(None)
         self._recalled = self._given = self._epoch = None
         self._sent, self._sent_stamp = [], -1

@@ -84,7 +84,7 @@ class OdometryReports:
         passing = [one for one in conditions if one.kind.severity in _PASSING]
         self._tell(odometry, passing)
         # What is wrong first: it may be what the calibration waits for.
-        conditions = (*self._monitor.faults, *passing)
+        conditions = (*self._monitor.graph.faults, *passing)
         values = status_values(odometry, self.imu, self.joints, clock.stamp(), conditions)
         is_begun = conditions or odometry.estimate is not None
         severity, message = (OK, "estimating") if is_begun else (STALE, "no reading yet")

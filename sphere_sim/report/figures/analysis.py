@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sphere_nmpc.model.state import Vector
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.round_numbers import three_digits
 from sphere_sim.recording.run import Run
@@ -23,7 +22,10 @@ from sphere_sim.report.figures.style import (
     SMALLEST_ERROR,
     VERMILION,
     WIDTH,
+    draw_limits,
     from_start,
+    label,
+    label_over_time,
     legend_above,
     mark_missing,
     styled,
@@ -38,20 +40,18 @@ def error_over_time(run: Run) -> Figure:
             mark_missing(axes, "goal")
             return figure
         norm, distance, angle = run.errors.T
-        for errors, dash, colour, label in (
+        for errors, dash, colour, name in (
             (norm, "-.", BLACK, r"$\|x - x_d\|$ [m, -]"),
             (distance, "-", DISTANCE, "distance [m]"),
             (np.degrees(angle), "--", ANGLE, "angle [°]"),
         ):
             if np.isfinite(errors).any():  # a goal may leave the orientation free
                 axes.semilogy(run.times, np.maximum(errors, SMALLEST_ERROR), linestyle=dash,
-                              color=colour, label=label)
+                              color=colour, label=name)
         axes.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
         axes.annotate(r"$\|x - x_d\|$ settled below", (0.005, SETTLED_ERROR), color=GREY,
                       fontsize=8, xycoords=("axes fraction", "data"), ha="left", va="bottom")
-        from_start(axes, run.times[-1])
-        legend_above(axes)
-        _label(axes, "error")
+        label_over_time(axes, run.times[-1], "error")
     return figure
 
 
@@ -69,14 +69,12 @@ def rotor_torques(run: Run) -> Figure:
         for i in range(2):
             axes.plot(torques.times, torques.values[:, i], DASHES[i], color=ROTORS[i],
                       label=f"$M_{i + 1}$")
-        _draw_limits(axes, bound)
+        draw_limits(axes, bound)
         axes.annotate(f"{three_digits(bound)} N m, at the largest acceleration of a rotor",
                       (0.995, bound), xycoords=("axes fraction", "data"), color=GREY,
                       fontsize=8, ha="right", va="bottom")
-        from_start(axes, torques.times[-1])
         axes.margins(y=0.12)
-        legend_above(axes)
-        _label(axes, "torque [N m]")
+        label_over_time(axes, torques.times[-1], "torque [N m]")
     return figure
 
 
@@ -94,14 +92,13 @@ def solve_times(run: Run) -> Figure:
             return figure
         over_time.plot(run.solves.times[known], durations[known], ".", color=COLOURS[0])
         over_time.set_ylim(bottom=0.0)
-        _label(over_time, "solve time [ms]")
+        label(over_time, "time [s]", "solve time [ms]")
         # By their number: by the spread, one long solve would take any number of bins.
         histogram.hist(durations[known], bins="sturges", color=COLOURS[0], alpha=0.85)
         for percent, colour, name in ((50, BLACK, "median"), (99, VERMILION, "p99")):
             value = float(np.percentile(durations[known], percent))
             histogram.axvline(value, color=colour, label=f"{name} {three_digits(value)} ms")
-        histogram.set_xlabel("solve time [ms]")
-        histogram.set_ylabel("solves")
+        label(histogram, "solve time [ms]", "solves")
         histogram.yaxis.set_major_locator(MaxNLocator(integer=True))
         legend_above(histogram)
     return figure
@@ -118,13 +115,13 @@ def value_function(run: Run) -> Figure:
         to_go = run.solves.column("time_to_go")
         positive, reported = np.isfinite(costs) & (costs > 0.0), np.isfinite(to_go)
         if np.any(reported):
-            _draw_samples(axes, times[reported], to_go[reported])
+            axes.plot(times[reported], to_go[reported], ".-", color=COLOURS[0], linewidth=1.0)
             axes.set_ylim(bottom=0.0)
-            _label(axes, "time to the goal, by the plan [s]")
+            label(axes, "time [s]", "time to the goal, by the plan [s]")
         elif np.any(positive):
             axes.set_yscale("log")
-            _draw_samples(axes, times[positive], costs[positive])
-            _label(axes, "value $V_N^*$")
+            axes.plot(times[positive], costs[positive], ".-", color=COLOURS[0], linewidth=1.0)
+            label(axes, "time [s]", "value $V_N^*$")
         else:
             mark_missing(axes, "values")
     return figure
@@ -143,10 +140,8 @@ def momentum_over_time(run: Run) -> Figure:
         for i, name in enumerate("xyz"):
             axes.step(momentum.times, momentum.values[:, i], linestyle=DASHES[i],
                       where="post", color=COLOURS[i], label=f"$H_{name}$")
-        _draw_limits(axes, run.robot.rotor_axial_inertia * run.robot.max_rotor_speed)
-        from_start(axes, run.times[-1])
-        legend_above(axes)
-        _label(axes, "momentum [N m s; world]")
+        draw_limits(axes, run.robot.rotor_axial_inertia * run.robot.max_rotor_speed)
+        label_over_time(axes, run.times[-1], "momentum [N m s; world]")
     return figure
 
 
@@ -162,9 +157,7 @@ def clearance_over_time(run: Run) -> Figure:
         axes.axhline(0.0, color=VERMILION, linewidth=1.0)
         axes.annotate("touch", (0.005, 0.0), color=VERMILION, fontsize=8,
                       xycoords=("axes fraction", "data"), ha="left", va="bottom")
-        from_start(axes, run.times[-1])
-        legend_above(axes)
-        _label(axes, "clearance [m]")
+        label_over_time(axes, run.times[-1], "clearance [m]")
     return figure
 
 
@@ -180,7 +173,7 @@ def estimate_errors_over_time(run: Run) -> Figure:
         )):
             axes.plot(errors.times, unit * errors.values[:, i], color=(DISTANCE, ANGLE)[i])
             axes.axhline(0.0, color=GREY, linewidth=1.0)
-            _label(axes, name)
+            label(axes, "time [s]", name)
         rows[0].label_outer()
         from_start(rows[1], run.times[-1])
     return figure
@@ -191,17 +184,3 @@ def _single(title: str) -> tuple[Figure, Axes]:
     axes = figure.subplots()
     axes.set_title(title)
     return figure, axes
-
-
-def _label(axes: Axes, vertical: str) -> None:
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(vertical)
-
-
-def _draw_limits(axes: Axes, limit: float) -> None:
-    for side in (-limit, limit):
-        axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
-
-
-def _draw_samples(axes: Axes, times: Vector, values: Vector) -> None:
-    axes.plot(times, values, ".-", color=COLOURS[0], linewidth=1.0)

@@ -20,6 +20,7 @@ from sphere_sim.report.figures.style import (
     SMALLEST_ERROR,
     WIDTH,
     from_start,
+    label,
     legend_above,
     literal,
     mark_missing,
@@ -46,13 +47,9 @@ def comparison(runs: Sequence[Run]) -> Figure:
             if run.solves:
                 order = np.sort(1e3 * run.solves.column("duration"))
                 solve.step(order, np.linspace(0.0, 1.0, order.size), where="post", **style)
-        for axes, title, horizontal, vertical in (
-            (speed, "c: larger rotor speed", "time [s]", r"max $|u_i|$ [rad/s]"),
-            (solve, "d: solve time", "solve time [ms]", "share of solves"),
-        ):
-            axes.set_title(title)
-            axes.set_xlabel(horizontal)
-            axes.set_ylabel(vertical)
+        label(speed, "time [s]", r"max $|u_i|$ [rad/s]", "c: larger rotor speed")
+        label(solve, "solve time [ms]", "share of solves", "d: solve time")
+        for axes in (speed, solve):
             if not axes.lines:
                 mark_missing(axes, "such series")
         solve.set_xscale("log")
@@ -99,13 +96,9 @@ def _draw_errors_and_paths(error: Axes, path: Axes, runs: Sequence[Run]) -> None
         error.semilogy(run.times, np.maximum(run.errors[:, 0], SMALLEST_ERROR), **_style(i, run))
         path.plot(*run.states[:, :2].T, **{**_style(i, run), "label": None})
     error.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
-    error.set_title("a: error; settled below the dotted line")
-    error.set_xlabel("time [s]")
-    error.set_ylabel(r"$\|x - x_d\|$ [m, -]")
+    label(error, "time [s]", r"$\|x - x_d\|$ [m, -]", "a: error; settled below the dotted line")
     path.set_aspect("equal", adjustable="datalim")
-    path.set_title("b: path on the plane")
-    path.set_xlabel("x [m]")
-    path.set_ylabel("y [m]")
+    label(path, "x [m]", "y [m]", "b: path on the plane")
 
 
 def _end_of_interest(runs: Sequence[Run]) -> float:

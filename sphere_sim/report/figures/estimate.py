@@ -18,6 +18,7 @@ from sphere_sim.report.figures.style import (
     PATH,
     WIDTH,
     from_start,
+    label,
     literal,
     styled,
 )
@@ -41,7 +42,6 @@ def estimated_poses(
         figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
         grid = figure.add_gridspec(2, 2)
         plane = figure.add_subplot(grid[:, 0])
-        plane.set_title("Path, with ellipses of two standard deviations")
         for name, (poses, _) in references.items():
             many = len(poses) > len(estimates) // 10
             plane.plot(poses.values[:, 0], poses.values[:, 1], "--" if many else "x", color=GREY,
@@ -56,15 +56,13 @@ def estimated_poses(
                 alpha=0.25,
             ))
         plane.set_aspect("equal", adjustable="datalim")
-        plane.set_xlabel("x [m]")
-        plane.set_ylabel("y [m]")
+        label(plane, "x [m]", "y [m]", "Path, with ellipses of two standard deviations")
         plane.legend()
         times = table["time_s"] - table["time_s"][0]
         for row, (column, unit, factor, colour) in enumerate((
             ("position", "mm", 1e3, DISTANCE), ("heading", "deg", np.degrees(1.0), ANGLE),
         )):
             over = figure.add_subplot(grid[row, 1])
-            over.set_title(f"{column.capitalize()}, with two standard deviations")
             band = table[f"{column}_deviation_{'m' if row == 0 else 'rad'}"]
             over.fill_between(times, 0.0, _TWO * factor * band, color=colour, alpha=0.25)
             for name, (poses, errors) in references.items():
@@ -72,6 +70,6 @@ def estimated_poses(
                           markersize=2.5, color=colour, label=f"from {literal(name)}")
                 over.legend()
             from_start(over, times[-1])
-            over.set_ylabel(f"{column} [{unit}]")
-            over.set_xlabel("time [s]")
+            label(over, "time [s]", f"{column} [{unit}]",
+                  f"{column.capitalize()}, with two standard deviations")
     return figure

@@ -26,7 +26,9 @@ from sphere_sim.report.figures.style import (
     TRACE,
     WALL,
     WIDTH,
-    from_start,
+    draw_limits,
+    label,
+    label_over_time,
     legend_above,
     mark_missing,
     styled,
@@ -52,8 +54,7 @@ def _draw_position(axes: Axes, run: Run) -> None:
     for i, name in enumerate(("x", "y")):
         axes.plot(run.times, run.states[:, i], DASHES[i], color=COLOURS[i], label=name)
     _draw_goal_lines(axes, run, POSITION)
-    _over_time(axes, run, "a: position of the sphere", "position [m]")
-    legend_above(axes)
+    label_over_time(axes, run.times[-1], "position [m]", "a: position of the sphere")
 
 
 def _draw_euler_parameters(axes: Axes, run: Run) -> None:
@@ -62,9 +63,8 @@ def _draw_euler_parameters(axes: Axes, run: Run) -> None:
         values = run.states[:, QUATERNION][:, i]
         axes.plot(run.times, values, DASHES[i], color=COLOURS[i], label=f"$q_{i + 1}$")
     _draw_goal_lines(axes, run, QUATERNION)
-    _over_time(axes, run, "b: Euler parameters", "Euler parameters [-]")
+    label_over_time(axes, run.times[-1], "Euler parameters [-]", "b: Euler parameters")
     axes.set_ylim(-1.08, 1.08)
-    legend_above(axes)
 
 
 def _draw_path(axes: Axes, run: Run) -> None:
@@ -82,9 +82,7 @@ def _draw_path(axes: Axes, run: Run) -> None:
     _draw_floor(axes, run)
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title("c: path on the plane")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    label(axes, "x [m]", "y [m]", "c: path on the plane")
     legend_above(axes)
 
 
@@ -115,11 +113,9 @@ def draw_rotor_speeds(axes: Axes, run: Run) -> None:
         for i in range(2):
             values = speeds.values[:, i]
             axes.plot(speeds.times, values, DASHES[i], color=ROTORS[i], label=f"$u_{i + 1}$")
-        for side in (-limit, limit):
-            axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
+        draw_limits(axes, limit)
         axes.set_ylim(-1.12 * limit, 1.12 * limit)
-        legend_above(axes)
-        _over_time(axes, run, "d: rotor speeds", "rotor speed [rad/s]")
+        label_over_time(axes, run.times[-1], "rotor speed [rad/s]", "d: rotor speeds")
     else:
         axes.set_title("d: rotor speeds")
         mark_missing(axes, "rotor speeds")
@@ -131,13 +127,6 @@ def _draw_goal_lines(axes: Axes, run: Run, part: slice) -> None:
     if goal is not None and not free:
         for i, value in enumerate(goal[part]):
             axes.axhline(value, color=COLOURS[i], linewidth=0.9, linestyle=":", alpha=0.8)
-
-
-def _over_time(axes: Axes, run: Run, title: str, label: str) -> None:
-    axes.set_title(title)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(label)
-    from_start(axes, run.times[-1])
 
 
 def contact_locus(run: Run) -> Figure:
@@ -191,10 +180,10 @@ def _draw_curve(
 ) -> None:
     """Draw a curve on the unit sphere, its far side fainter."""
     near = points @ towards >= 0.0
-    for side, alpha, label in ((near, 1.0, name), (~near, 0.22, None)):
+    for side, alpha, shown in ((near, 1.0, name), (~near, 0.22, None)):
         # Values of nan interrupt the curve; otherwise it would cross the sphere.
         kept = np.where(side[:, None], points, np.nan)
-        axes.plot(*kept.T, color=colour, linewidth=width, alpha=alpha, label=label)
+        axes.plot(*kept.T, color=colour, linewidth=width, alpha=alpha, label=shown)
 
 
 def _draw_graticule(axes: Any, towards: Vector) -> None:

@@ -98,6 +98,27 @@ def legend_above(axes: Axes) -> None:
                 handlelength=1.6, columnspacing=1.0)
 
 
+def label(axes: Axes, horizontal: str, vertical: str, title: str | None = None) -> None:
+    """Name the axes of a panel, which keeps its title where none is given."""
+    axes.set_xlabel(horizontal)
+    axes.set_ylabel(vertical)
+    if title is not None:
+        axes.set_title(title)
+
+
+def label_over_time(axes: Axes, end: float, vertical: str, title: str | None = None) -> None:
+    """Name the axes of curves from 0 to the end of a run [s], and add their legend."""
+    label(axes, "time [s]", vertical, title)
+    from_start(axes, end)
+    legend_above(axes)
+
+
+def draw_limits(axes: Axes, limit: float) -> None:
+    """Draw the limits on both sides of zero."""
+    for side in (-limit, limit):
+        axes.axhline(side, color=GREY, linewidth=1.0, linestyle=":")
+
+
 def mark_missing(axes: Axes, what: str) -> None:
     """Mark a panel whose data the bag does not have."""
     axes.text(

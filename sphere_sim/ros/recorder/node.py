@@ -84,7 +84,7 @@ class RecorderNode(GuardedNode):
         super().__init__("recorder", parameter_overrides)
         settings = self.parameters.declare(RecorderSettings()).settings
         self._clock_topic = self.resolve_topic_name("/clock")
-        self._patterns = [self._full_name(topic) for topic in settings.topics]
+        self._patterns = [full_name_of_topic(self, topic) for topic in settings.topics]
         self.parameters.warn_of_unknown()
         self._monitor = GraphMonitor(self, self._fault_log)
         self._missing = MissingTopics(self, settings.topics)
@@ -104,7 +104,7 @@ class RecorderNode(GuardedNode):
         if self._uses_sim_time and not matches_any(self._clock_topic, self._patterns):
             self._patterns.append(self._clock_topic)
         for name, msgtype in KNOWN_TYPES.items():
-            topic = self._full_name(name)
+            topic = full_name_of_topic(self, name)
             if matches_any(topic, self._patterns):
                 self._named[name] = topic
                 self._subscribe(topic, msgtype, compatible_qos((), name in LATCHED))
@@ -127,9 +127,6 @@ class RecorderNode(GuardedNode):
         """Record the messages that have arrived and close the bag."""
         self._record_arrived()
         self._stop()
-
-    def _full_name(self, topic: str) -> str:
-        return full_name_of_topic(self, topic)
 
     def _offered_qos(self, topic: str) -> list[Qos]:
         entry = self._subscriptions_by_topic[topic]

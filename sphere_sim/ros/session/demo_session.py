@@ -21,7 +21,6 @@ from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.evaluation.metrics import GoalRun
 from sphere_sim.recording.message_fields import number
 from sphere_sim.ros.session.goal_run import GoalRunner
-from sphere_sim.ros.session.goal_sender import GoalSender
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
 from sphere_sim.ros.session.serving import serve_until
 
@@ -54,6 +53,8 @@ class DemoSession:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._runner = GoalRunner(self._node, self.spin)
+        self.sender = self._runner.sender
+        """Sender of the goal, with the newest status of the controller."""
         self._pause = self._node.create_client(SetBool, "simulator/pause")
         self._recorder = self._node.create_client(Trigger, "recorder/is_recording")
         self.rotor_speeds: Vector = np.zeros(2)
@@ -74,12 +75,7 @@ class DemoSession:
     @property
     def solve_time(self) -> float:
         """Newest solve time [s]."""
-        return number(self.status.values, "solve_time_s")
-
-    @property
-    def status(self) -> GoalSender:
-        """Newest status of the controller."""
-        return self._runner.sender
+        return number(self.sender.values, "solve_time_s")
 
     def prepare(self, goal: Vector, tolerance: float, hold: float, timeout: float) -> GoalRun:
         """Wait until every node is ready, and bring the goal into force; time is paused meanwhile.
@@ -89,7 +85,7 @@ class DemoSession:
         in the domain meanwhile.
         """
         end = time.monotonic() + timeout
-        self._runner.sender.wait_for_controller(timeout)
+        self.sender.wait_for_controller(timeout)
         self._await(self._pause.service_is_ready, end, "the simulator's services")
         self._await(self._recorder.service_is_ready, end, "the recorder's services")
         left = max(1.0, end - time.monotonic())
@@ -115,9 +111,10 @@ class DemoSession:
 
     def _recorder_is_ready(self) -> bool:
         lines = self._call(self._recorder, Trigger.Request()).message.splitlines()
-        return not _missing(lines, ("received",), _RECEIVED) and not _missing(
-            lines, ("received", "matched"), _MATCHED
-        )
+        wanted = [*((topic, ("received ",)) for topic in _RECEIVED),
+                  *((topic, ("received ", "matched ")) for topic in _MATCHED)]
+        return all(any(line.startswith(states) and line.endswith(topic) for line in lines)
+                   for topic, states in wanted)
 
     def _await(self, condition: Callable[[], bool], end: float, what: str) -> None:
         if not serve_until(self.spin, condition, end - time.monotonic()):
@@ -135,9 +132,3 @@ class DemoSession:
         speeds, _ = rotor_speeds_and_stamp(message)
         if speeds is not None:
             self.rotor_speeds = speeds
-
-
-def _missing(lines: list[str], states: tuple[str, ...], topics: tuple[str, ...]) -> list[str]:
-    """Return the topics that the recorder does not report in one of these states."""
-    there = [line.partition(" ")[2] for line in lines if line.partition(" ")[0] in states]
-    return [topic for topic in topics if not any(name.endswith(topic) for name in there)]

@@ -87,19 +87,15 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
         )
     if given.degrees and given.yaw is None and not any(len(goal) == 3 for goal in given.then):
         parser.error("--degrees: given without --yaw, whose unit it is")
-    if given.path is not None:
-        if given.then or given.position:
-            parser.error("--path: given with goals, expected all places in the file")
-        try:
-            places = read_places(find_file(given.path), 2 * MOST_PLACES)
-        except (InvalidFileError, ScenarioFileError) as error:
-            parser.error(str(error))
-        return GoalRequest(
-            (make_state(places[-1], _UPRIGHT),), True, given.timeout, given.wait,
-            given.cancel_on_interrupt, places,
-        )
+    places = None
     try:
-        goals = [_first(parser, given)]
+        if given.path is not None:
+            if given.then or given.position:
+                parser.error("--path: given with goals, expected all places in the file")
+            places = read_places(find_file(given.path), 2 * MOST_PLACES)
+            goals = [make_state(places[-1], _UPRIGHT)]
+        else:
+            goals = [_first(parser, given)]
         for numbers in given.then:
             if len(numbers) not in (2, 3):
                 found = counted(len(numbers), "number")
@@ -108,10 +104,11 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
             if len(numbers) == 3:
                 turn = _about_vertical(parser, "--then", numbers[2], given.degrees)
             goals.append(make_state(numbers[:2], turn))
-    except InvalidStateError as error:
+    except (InvalidFileError, InvalidStateError, ScenarioFileError) as error:
         parser.error(str(error))
     return GoalRequest(
-        tuple(goals), given.point, given.timeout, given.wait, given.cancel_on_interrupt
+        tuple(goals), given.point or places is not None, given.timeout, given.wait,
+        given.cancel_on_interrupt, places,
     )
 
 

@@ -4,7 +4,6 @@
 
 import math
 import sys
-import time
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -19,6 +18,7 @@ from sphere_nmpc.ros.startup import start_ros, without_ros_arguments
 from sphere_sim.recording.message_fields import number, reported_orientation
 from sphere_sim.ros.session.goal_arguments import GoalRequest, parse
 from sphere_sim.ros.session.goal_sender import GoalNotAcceptedError, GoalSender
+from sphere_sim.ros.session.serving import serve_until
 
 _ANSWER_TIMEOUT = 5.0
 """Longest wait for the confirmation of the controller, and for its decision after that [s]."""
@@ -69,12 +69,10 @@ def _outcome(request: GoalRequest, sender: GoalSender) -> str:
         with GoalDisplay() as display:
             took = _wait(sender, display.update)
         off = display.largest_deviation
-        told = f", at most {1e3 * off:.2g} mm off the path" if math.isfinite(off) else ""
-        return f"reached after {took:.2f} s{_error(sender)}{told}"
+        path = f", at most {1e3 * off:.2g} mm off the path" if math.isfinite(off) else ""
+        return f"reached after {took:.2f} s{_error(sender)}{path}"
     # The newest decision may be one of before the goal.
-    end = time.monotonic() + _ANSWER_TIMEOUT
-    while sender.report.mode == Kind.NO_GOAL.value and time.monotonic() < end:
-        sender.spin()
+    serve_until(sender.spin, lambda: sender.report.mode != Kind.NO_GOAL.value, _ANSWER_TIMEOUT)
     if obstacle := sender.obstacle():
         return f"in force, but the controller waits: {obstacle}"
     return f"in force; {sender.subscription.topic_name} reports the progress"
@@ -97,8 +95,8 @@ def _wait(sender: GoalSender, show: Callable[[GoalReport], object]) -> float:
     if sender.ending.outcome is Outcome.SUCCEEDED:
         return elapsed + max(0.0, sender.report.time - report.time)
     if sender.ending.missed:
-        told = sender.obstacle() or sender.ending.reason
-        raise NotReachedError(f"the controller does not pursue it: {told}")
+        reason = sender.obstacle() or sender.ending.reason
+        raise NotReachedError(f"the controller does not pursue it: {reason}")
     raise NotReachedError(sender.ending.reason)
 
 
@@ -113,7 +111,7 @@ def _error(sender: GoalSender) -> str:
 
 def _end(request: GoalRequest, sender: GoalSender) -> str:
     """Return what becomes of the goals after an interruption."""
-    if not sender.client.stamp:
+    if sender.client.goal is None:
         return "interrupted before it was sent"
     if not request.cancel_on_interrupt:
         return "interrupted; the sphere goes on to it"

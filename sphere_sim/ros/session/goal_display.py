@@ -86,8 +86,8 @@ def _left(progress: GoalReport) -> str:
     which = f"goal {progress.index + 1} of {progress.count}: " if progress.count > 1 else ""
     path, time = progress.distance_left, progress.time_left
     off = 1e3 * abs(progress.deviation)
-    told = f", {_number(off, 5, 1)} mm off the path" if math.isfinite(off) else ""
-    return f"{which}{_number(path, 6, 2)} m, {_number(time, 5, 1)} s left{told}"
+    deviation = f", {_number(off, 5, 1)} mm off the path" if math.isfinite(off) else ""
+    return f"{which}{_number(path, 6, 2)} m, {_number(time, 5, 1)} s left{deviation}"
 
 
 def _number(value: float, width: int, digits: int) -> str:

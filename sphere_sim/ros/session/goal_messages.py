@@ -7,7 +7,7 @@ They have no frame, which means that of the controller, and a stamp of 0, which 
 
 from collections.abc import Sequence
 
-from geometry_msgs.msg import Point, PointStamped, PoseStamped
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped
 from nav_msgs.msg import Goals, Path
 
 from sphere_nmpc.model.parameters import RobotParameters
@@ -30,10 +30,8 @@ def point_message(position: Sequence[float] | Vector) -> PointStamped:
 
 def path_message(places: Vector) -> Path:
     """Return the message of a path through places, shape (P, 2) [m]."""
-    poses = [PoseStamped() for _ in places]
-    for pose, (x, y) in zip(poses, places.tolist(), strict=True):
-        pose.pose.position = Point(x=x, y=y, z=_HEIGHT)
-    return Path(poses=poses)
+    points = [Point(x=x, y=y, z=_HEIGHT) for x, y in places.tolist()]
+    return Path(poses=[PoseStamped(pose=Pose(position=point)) for point in points])
 
 
 def goals_message(goals: Sequence[Vector]) -> Goals:

@@ -22,7 +22,7 @@ _REMEDIES = {
 }
 """Service that ends a state of the controller, and what to send to it."""
 _MOMENT = 1.0
-"""Wait for a controller of which nothing is told [s]."""
+"""Wait for a controller of which nothing is heard [s]."""
 
 
 class GoalNotAcceptedError(SphereNmpcError):
@@ -43,17 +43,17 @@ class GoalSender(GoalLink):
         self._publisher, self._topic = self.publishers[kind], self.subscription.topic_name
 
     def wait_for_controller(
-        self, timeout: float, tell: Callable[[str], object] = lambda line: None
+        self, timeout: float, report: Callable[[str], object] = lambda line: None
     ) -> None:
         """Wait until the controller is matched, and every other subscriber of the goal.
 
-        `tell` takes a line where that takes longer than a moment. `GoalNotAcceptedError` is raised
+        `report` takes a line where that takes longer. `GoalNotAcceptedError` is raised
         if it does not happen within `timeout` [s].
         """
         moment = min(_MOMENT, timeout)
         if serve_until(self._serve, self._is_matched, moment):
             return
-        tell(f"waiting up to {timeout:g} s for a controller: {self._found()}")
+        report(f"waiting up to {timeout:g} s for a controller: {self._found()}")
         if not serve_until(self._serve, self._is_matched, timeout - moment):
             raise GoalNotAcceptedError(
                 f"no controller was ready within {timeout:g} s: {self._found()}; is one running "

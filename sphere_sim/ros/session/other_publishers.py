@@ -76,7 +76,9 @@ def _search(namespace: str, topics: Iterable[str], seconds: float) -> list[str]:
         try:
             found: dict[str, list[str]] = {}
             end = named = time.monotonic() + seconds
-            while (now := time.monotonic()) < (named if _lacks_names(found) else end):
+            while (now := time.monotonic()) < (
+                named if any(UNKNOWN in nodes for nodes in found.values()) else end
+            ):
                 seen = publishers(node, topics)
                 if any(seen.values()) and not any(found.values()):
                     end, named = now + _NAMES, now + NAMED_WITHIN
@@ -108,10 +110,6 @@ def publishers(node: Node, topics: Iterable[str] = TOPICS) -> dict[str, list[str
         ]
         for topic in topics
     }
-
-
-def _lacks_names(found: dict[str, list[str]]) -> bool:
-    return any(UNKNOWN in nodes for nodes in found.values())
 
 
 def _names(found: dict[str, list[str]]) -> list[str]:

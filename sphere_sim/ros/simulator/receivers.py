@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sphere_nmpc.errors import InvalidInputError, InvalidParameterError
 from sphere_nmpc.reporting.fault_log import FaultLog
-from sphere_nmpc.ros.cdr import hold_and_stamp, speeds_of_message
+from sphere_nmpc.ros.cdr import Numbers, hold_and_stamp, read
 from sphere_nmpc.ros.messages import stamp_to_ros
 from sphere_sim.ros.simulator.settings import PushSettings, SimulatorNodeSettings
 from sphere_sim.world.simulator import Simulator
@@ -102,7 +102,7 @@ class CommandReceiver:
         self.received += 1
         simulator = self._simulator
         try:
-            speeds = speeds_of_message(message)
+            speeds = read(message, Numbers).numbers
             if not self.is_held:
                 simulator.follower.follow_speeds(speeds, simulator.time)
                 self._report_clamped()

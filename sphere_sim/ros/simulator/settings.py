@@ -40,7 +40,7 @@ class SimulatorNodeSettings(SimulatorSettings):
     sample_period: float = quantity(
         0.25, "s",
         "Time that ~/step advances; spacing of the sampling instants in lockstep, until a "
-        "controller tells its own on control_period",
+        "controller publishes its own on control_period",
         minimum=1e-3, maximum=100.0,
     )
     start_paused: bool = quantity(False, "-", "Start paused, until the pause service is called")

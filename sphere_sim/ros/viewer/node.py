@@ -173,7 +173,7 @@ class TopicSource:
             reset=self._reset.service_is_ready(),
             push=self._pushes.get_subscription_count() > 0,
             stop=self._enable.service_is_ready() and self._cancel.service_is_ready(),
-            paused=self.subscriptions.paused,
+            paused=self.subscriptions.live.paused,
             speed=float(speed.value) if speed.writable else None,
             strategies=strategy.choices if strategy.writable else (),
         )

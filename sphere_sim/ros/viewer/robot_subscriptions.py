@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -48,100 +49,89 @@ class RobotSubscriptions:
     ) -> None:
         self.message_count = 0
         """Number of messages received."""
-        self._live = LiveFrame(time.monotonic())
+        self.live = LiveFrame(time.monotonic())
+        """Frame that the messages update."""
         self._node, self._frame, self._on_pose = node, frame, on_pose
         self._diagnostics_prefix = f"{node.get_namespace()}/controller:".lstrip("/")
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        for topic, take_pose, depth in (
-            ("pose", self._live.add_pose, 1),
-            # An estimate arrives later than the true pose of its time.
-            (TRUE_POSE, self._live.add_true_pose, 10),
-        ):
-            node.create_subscription(
-                PoseStamped, topic, partial(self._take_pose, take_pose),
-                QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT), raw=True,
-            )
-        node.create_subscription(
-            PoseStamped, "controller/active_goal", self._take_goal, latched, raw=True
-        )
-        node.create_subscription(Path, "controller/predicted_path", self._take_plan, newest)
+        # An estimate arrives later than the true pose of its time.
+        several = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+        def subscribe(
+            kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile | int,
+            raw: bool = True,
+        ) -> None:
+            def received(message: Any) -> None:
+                self.message_count += 1
+                take(message)
+
+            node.create_subscription(kind, topic, received, qos, raw=raw)
+
+        pose, truth = (partial(self._take_pose, take)
+                       for take in (self.live.add_pose, self.live.add_true_pose))
+        subscribe(PoseStamped, "pose", pose, newest)
+        subscribe(PoseStamped, TRUE_POSE, truth, several)
+        subscribe(PoseStamped, "controller/active_goal", self._take_goal, latched)
+        subscribe(Path, "controller/predicted_path", self._take_plan, newest, raw=False)
         if scene_only:
             return
-        node.create_subscription(Path, "controller/path", self._take_path, latched)
-        for kind, topic, take, qos in (
-            (OccupancyGrid, "controller/floor", self._take_floor, latched),
-            (JointState, "joint_states", self._take_joint_states, newest),
-            (DiagnosticStatus, _STATUS, self._take_status, newest),
-            (DiagnosticArray, "/diagnostics", self._take_diagnostics, 10),
-        ):
-            node.create_subscription(kind, topic, take, qos, raw=True)
-
-    @property
-    def paused(self) -> bool:
-        """Whether the robot's clock is paused."""
-        return self._live.paused
+        subscribe(Path, "controller/path", self._take_path, latched, raw=False)
+        subscribe(OccupancyGrid, "controller/floor", self._take_floor, latched)
+        subscribe(JointState, "joint_states", self._take_joint_states, newest)
+        subscribe(DiagnosticStatus, _STATUS, self._take_status, newest)
+        subscribe(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
 
     def newest(self) -> Frame:
         """Return the newest frame."""
         controllers = publishers_of(self._node, _STATUS, DiagnosticStatus)
-        return self._live.take(time.monotonic(), len(controllers))
+        return self.live.take(time.monotonic(), len(controllers))
 
     def _take_pose(self, take: Callable[[float, Vector, float, float], None], raw: bytes) -> None:
-        now = self._arrival()
+        now = time.monotonic()
         pose = cdr.read(raw, cdr.Pose)
         try:
             state = pose.in_frame(self._frame)
         except InvalidStateError as error:
-            self._live.refused = str(error)
+            self.live.refused = str(error)
             return
         take(cdr.seconds(pose.stamp), state, pose.numbers[2], now)
         self._on_pose()
 
     def _take_joint_states(self, raw: bytes) -> None:
-        self._arrival()
         rotors = cdr.read(raw, cdr.Joints).of_rotors()
         if rotors is not None:  # others have other joints
-            self._live.add_rotors(*rotors[1:])
+            self.live.add_rotors(*rotors[1:])
 
     def _take_goal(self, raw: bytes) -> None:
-        self._arrival()
         goal = cdr.read(raw, cdr.Pose)
         with suppress(InvalidStateError):
-            self._live.add_goal(stamp_text(goal.stamp), goal.in_frame(goal.frame))
+            self.live.add_goal(stamp_text(goal.stamp), goal.in_frame(goal.frame))
 
     def _take_plan(self, message: Path) -> None:
-        self._live.controller_at = self._arrival()
+        self.live.controller_at = time.monotonic()
         with suppress(InvalidStateError):
             states = [pose_from_ros(pose) for pose in message.poses[:_LONGEST_PLAN]]
-            self._live.update(plan=np.array(states).reshape(-1, 6))
+            self.live.update(plan=np.array(states).reshape(-1, 6))
 
     def _take_path(self, message: Path) -> None:
-        self._arrival()
         with suppress(InvalidStateError):
             frame, is_none = message.header.frame_id, not message.poses
             places = np.empty((0, 2)) if is_none else framed_places_from_ros(message, frame)
-            self._live.update(path=places)
+            self.live.update(path=places)
 
     def _take_floor(self, raw: bytes) -> None:
-        self._arrival()
-        self._live.floor_refused = ""
+        self.live.floor_refused = ""
         try:
-            self._live.update(floor=floor_of(cdr.read(raw, cdr.OccupancyGrid)))
+            self.live.update(floor=floor_of(cdr.read(raw, cdr.OccupancyGrid)))
         except InvalidMapError as error:
-            self._live.floor_refused = str(error)
+            self.live.floor_refused = str(error)
 
     def _take_status(self, raw: bytes) -> None:
-        self._live.controller_at = self._arrival()
-        self._live.add_status(cdr.read(raw, cdr.Status).values)
+        self.live.controller_at = time.monotonic()
+        self.live.add_status(cdr.read(raw, cdr.Status).values)
 
     def _take_diagnostics(self, raw: bytes) -> None:
-        now = self._arrival()
         statuses = cdr.read(raw, cdr.Diagnostics).statuses
         if any(status.name.startswith(self._diagnostics_prefix) for status in statuses):
-            self._live.controller_at = now
-
-    def _arrival(self) -> float:
-        """Count a message and return its time of arrival [s; steady clock]."""
-        self.message_count += 1
-        return time.monotonic()
+            self.live.controller_at = time.monotonic()

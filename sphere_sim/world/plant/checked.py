@@ -59,10 +59,9 @@ class CheckedPlant:
         return call
 
     def _quantity(self, name: str, size: int) -> Vector:
-        def read() -> Vector:
-            return np.array(getattr(self._plant, name), dtype=float)
-
-        found: Vector = self._tried(name, read)
+        found: Vector = self._tried(
+            name, lambda: np.array(getattr(self._plant, name), dtype=float)
+        )
         if found.shape != (size,) or not np.isfinite(found).all():
             given = f"{found.tolist()}" if found.size <= size else f"the shape {found.shape}"
             raise self._error(name, f"given {given}, expected {size} finite numbers")

@@ -54,7 +54,7 @@ class Plant(Protocol):
 
     @property
     def contact(self) -> Contact:
-        """Contact with the walls, which the plant tells its motion (`Contact.is_into_wall`)."""
+        """Contact with the walls, which has the motion of the plant (`Contact.is_into_wall`)."""
 
     @property
     def state(self) -> Vector:

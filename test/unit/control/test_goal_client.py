@@ -155,8 +155,8 @@ class World:
             self.cancels += 1
             self._cancel_under_way = True
         if due.send:
-            self._under_way = stamp_text(self.client.stamp)
-            self.stamp_of[self.client.message] = self._under_way
+            self._under_way = stamp_text(self.client.pursuit.stamp)
+            self.stamp_of[self.client.pursuit.message] = self._under_way
             self.sent += 1
 
 
@@ -284,10 +284,10 @@ def test_goal_has_the_right_end_at_the_right_time(events, ended, in_force, sent,
 def test_goal_under_way_and_its_stage_are_told() -> None:
     world = World()
     world.play("stages A", 1.0)
-    assert (world.client.goal, world.client.stage) == ("A", 0)
+    assert (world.client.goal, world.client.pursuit.stage) == ("A", 0)
     assert world.client.report.time_left == pytest.approx(1.0)
     world.play(3.0)
-    assert (world.mode, world.client.stage) == (Kind.TRACKING, 1)
+    assert (world.mode, world.client.pursuit.stage) == (Kind.TRACKING, 1)
 
 
 @pytest.mark.parametrize("missed", ["1", "2", "3", "1+3", "1+2+3"])

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphere_nmpc.control.link import REACH, Commands, Link
+from sphere_nmpc.control.link import Link
+from sphere_nmpc.control.sending import REACH, Commands
 from sphere_nmpc.estimation.rotor_history import RotorHistory
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
@@ -27,7 +28,7 @@ def test_command_of_a_long_plan_is_at_rest_soon_after_it_should_have_been_renewe
 ) -> None:
     speeds = np.array([[0.0, 0.0], [100.0, 100.0], [100.0, 100.0]])
     plan = FirstOrderHold(np.array([0.0, 0.25, 2000.0]), speeds)
-    sent = Commands(ROBOT).joined(plan, 0.0, period)
+    sent = Commands(ROBOT, print).joined(plan, 0.0, period)
     np.testing.assert_array_equal(sent.speeds[-1], 0.0)
     assert sent.end == pytest.approx(reach + 100.0 / ROBOT.max_rotor_acceleration)
     for time in (0.1, 0.25, 1.0, reach):
@@ -41,7 +42,7 @@ def test_command_of_a_long_plan_is_at_rest_soon_after_it_should_have_been_renewe
 def test_accelerations_by_the_stamps_keep_the_limit(
     start: float, count: int, spacing: float, epoch: float
 ) -> None:
-    limit, commands = ROBOT.max_rotor_acceleration, Commands(ROBOT)
+    limit, commands = ROBOT.max_rotor_acceleration, Commands(ROBOT, print)
     commands.rotors.record(FirstOrderHold.constant(epoch, np.array([100.0, 3e-7])))
     # Between the limits of speed, with steps as large as those of acceleration.
     speeds = 100.0 - np.abs(limit * spacing * np.arange(1, count + 1) % 400.0 - 200.0)
@@ -56,7 +57,7 @@ def test_accelerations_by_the_stamps_keep_the_limit(
 
 
 def test_command_after_a_step_back_of_the_clock_begins_now_or_soon() -> None:
-    commands = Commands(ROBOT)
+    commands = Commands(ROBOT, print)
     commands.rotors.record(FirstOrderHold.constant(100.0, np.zeros(2)))
     assert commands.earliest(99.9) == 100.0
     assert commands.earliest(99.4) == 99.4

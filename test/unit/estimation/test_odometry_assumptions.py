@@ -96,11 +96,11 @@ def test_a_tilt_that_a_rest_contradicts_is_replaced_and_the_position_is_not_know
     rest = Rest(1).feed(4.0, UP)
     rest.time += 0.3
     rest.feed(4.0, there)
-    assert rest.tilt_error(there) < 3.0 and rest.odometry.is_lost
+    assert rest.tilt_error(there) < 3.0 and rest.odometry.faults.is_lost
     assert {Kind.TILT_REPLACED, Kind.POSITION_UNKNOWN} <= rest.told
     rest.odometry.set_pose(rest.time, rest.odometry.estimate.pose, None)
     rest.feed(3.0, there)
-    assert not rest.odometry.is_lost and rest.tilt_error(there) < 3.0
+    assert not rest.odometry.faults.is_lost and rest.tilt_error(there) < 3.0
 
 
 def test_a_given_tilt_is_compared_with_what_is_measured_and_not_with_what_is_believed() -> None:
@@ -112,7 +112,7 @@ def test_a_given_tilt_is_compared_with_what_is_measured_and_not_with_what_is_bel
     rest.odometry.set_pose(rest.time, true, None)
     rest.feed(3.0, turned_up(30.0))
     assert rest.tilt_error(turned_up(30.0)) < 1.0
-    assert not rest.odometry.is_lost and Kind.TILT_REPLACED not in rest.told
+    assert not rest.odometry.faults.is_lost and Kind.TILT_REPLACED not in rest.told
 
 
 def test_a_start_on_its_side_is_told_until_a_pose_is_given() -> None:
@@ -141,7 +141,8 @@ def test_a_gap_in_motion_makes_the_position_unknown() -> None:
         run, change=lambda one: None if 4.0 < one.stamp / SECOND < 5.0 else one,
         rotors=lambda one: None,
     )
-    assert odometry.is_lost and Kind.POSITION_UNKNOWN in {one.kind for one in odometry.conditions}
+    assert odometry.faults.is_lost
+    assert Kind.POSITION_UNKNOWN in {one.kind for one in odometry.conditions}
 
 
 def test_without_an_imu_speeds_are_not_kept() -> None:
@@ -229,7 +230,7 @@ def test_rest_is_found_by_what_does_not_change(what) -> None:
     place = rest.odometry.estimate.pose[:2].copy()
     rest.feed(10.0, UP, **more)
     assert rest.tilt_error(UP) < 3.0 and math.dist(place, rest.odometry.estimate.pose[:2]) < 1e-3
-    assert not rest.odometry.is_lost and Kind.ENCODERS_SILENT not in rest.told
+    assert not rest.odometry.faults.is_lost and Kind.ENCODERS_SILENT not in rest.told
 
 
 @pytest.mark.parametrize(("size", "words"), [(0.0, "removed"), (1.0 / GRAVITY, "in g"), (2.0, "")])
@@ -243,7 +244,7 @@ def test_a_force_at_rest_that_is_not_gravity_gives_no_pose(size, words) -> None:
 
 def test_a_force_of_the_opposite_sign_is_named_and_leaves_the_position_unknown() -> None:
     rest = Rest(8).feed(4.0, UP, lambda _, one: np.append(one[:3], -one[3:]))
-    assert rest.odometry.is_lost
+    assert rest.odometry.faults.is_lost
     assert any("the opposite sign?" in one.text for one in rest.odometry.conditions)
 
 

@@ -142,7 +142,7 @@ def test_preset_is_sent_at_once_or_with_the_button(show, viewer, script) -> None
     viewer.tick()
     expected = GOAL_PRESETS[name](script.next[0].state)
     assert state_error(script.requests[-1].goal, expected) < 1e-9
-    viewer._panel._at_once.value = False
+    viewer._panel.at_once.value = False
     viewer._panel.put(ChooseGoal("origin, upright"))
     viewer.tick()
     assert len(script.requests) == 1
@@ -223,7 +223,7 @@ def test_robots_of_other_sizes_are_shown_as_that_of_the_paper_at_another_scale(
         camera, ground = viewer._server.initial_camera, viewer._scene._ground
         goal = viewer._goal._position
         return np.array([
-            *camera.position, *camera.look_at, ground._plan.thickness, ground._path._spacing,
+            *camera.position, *camera.look_at, ground._plan.thickness, ground.path._spacing,
             viewer._scene._trace._thickness, goal.scale, goal.position[2],
         ])
 

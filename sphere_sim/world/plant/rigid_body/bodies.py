@@ -68,7 +68,9 @@ def build_mechanism(
         trim = -np.sum(moments, axis=0) / robot.shell_mass
     if any(mass_offset):
         trim = trim + robot.total_mass / robot.shell_mass * np.asarray(mass_offset)
-    shell_inertia = robot.shell_inertia * np.eye(3) - left - _point_inertia(robot.shell_mass, trim)
+    # The shell's inertia about the centre stays, where its mass is beside it.
+    beside = robot.shell_mass * (trim @ trim * np.eye(3) - np.outer(trim, trim))
+    shell_inertia = robot.shell_inertia * np.eye(3) - left - beside
     principal = np.linalg.eigvalsh(shell_inertia)
     if principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:
         raise InvalidParameterError(
@@ -99,9 +101,3 @@ def _disc(
         return Body(name, mass, position, np.zeros((3, 3))), -given
     possible = axial * along + max(transverse, 0.5 * axial) * across
     return Body(name, mass, position, possible), possible - given
-
-
-def _point_inertia(mass: float, position: Vector) -> Vector:
-    """Return the inertia of a point mass about the origin [kg m^2], shape (3, 3)."""
-    inertia: Vector = mass * (position @ position * np.eye(3) - np.outer(position, position))
-    return inertia

@@ -1,6 +1,6 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands on their way to the rotors, and poses on their way back."""
+"""Delay and loss of commands on their way to the rotors, and of poses on their way back."""
 
 import math
 from collections import deque

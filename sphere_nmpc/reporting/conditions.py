@@ -126,7 +126,7 @@ class Kind(Enum):
     log: str
     code: int
     conditions: "tuple[Condition, ...]"
-    """The only condition is one of this kind, without a text."""
+    """One condition of this kind, without a text."""
 
     def __new__(cls, value: str, severity: Severity, log: str = "", code: int = 0) -> "Kind":
         """Return the kind of a row."""

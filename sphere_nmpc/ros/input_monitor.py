@@ -107,13 +107,13 @@ class InputMonitor:
             if source is not first and wall - watch.seen_at >= SILENCE_LIMIT:
                 continue
             topic = self.topics[source]
-            found_there = find_faults(GraphState(
+            faults = find_faults(GraphState(
                 follows_clock, self.time, wall - self._time_changed_at, wall - watch.seen_at,
                 watch.age, timeout, clocks, graph.publishers(topic, source.message),
                 self._clock_topic, topic, others, watch.has_stamp, source, watch.reported,
             ))
             names = {fault.name for fault in found}
-            found += [fault for fault in found_there if fault.name not in names]
+            found += [fault for fault in faults if fault.name not in names]
         # A comparison of all profiles takes longer than a tick, and before the first one a
         # publisher of another type may be the only one that has been discovered.
         if wall >= self._compared_at + SILENCE_LIMIT:

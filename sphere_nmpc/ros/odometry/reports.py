@@ -82,7 +82,7 @@ class OdometryReports:
             [*further, *lasting, *self._monitor.inexact_stamps],
         )
         passing = [one for one in conditions if one.kind.severity in _PASSING]
-        self._tell(odometry, passing)
+        self._log(odometry, passing)
         # What is wrong first: it may be what the calibration waits for.
         conditions = (*self._monitor.graph.faults, *passing)
         values = status_values(odometry, self.imu, self.joints, clock.stamp(), conditions)
@@ -91,7 +91,7 @@ class OdometryReports:
         self.report = with_conditions((severity, message, values), conditions)
         self._diagnostics.status.publish(self._diagnostics.message(self.report))
 
-    def _tell(self, odometry: Odometry, passing: Sequence[Condition]) -> None:
+    def _log(self, odometry: Odometry, passing: Sequence[Condition]) -> None:
         """Log what is no fault, once: what has begun, and the result of the calibration."""
         now = {one.name: one.text for one in passing}
         if odometry.is_calibrated:

@@ -26,8 +26,10 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.output.files import ResultFolderError
+from sphere_sim.scenario.csv_file import read_scenarios
 from sphere_sim.scenario.scenarios import GivenPath, Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.journal import fingerprint
 from sphere_sim.study.record import (
     FLOOR_RESULT_COLUMNS,
     ODOMETRY_RESULT_COLUMNS,
@@ -303,6 +305,28 @@ def test_study_continues_only_on_the_same_map(map_file, tmp_path) -> None:
     floor_of.cache_clear()
     with Workers() as workers, pytest.raises(ResultFolderError, match="another map"):
         study.run(workers)
+
+
+def test_each_run_has_its_own_map_also_when_it_is_run_again(map_file, tmp_path) -> None:
+    free = replace(ACROSS, map_file=None)
+    walled = replace(ACROSS, map_file=map_file)
+    conditions, tables = replace(SHORT, duration=0.5), []
+    for scenarios, name in (([free, walled], "in/first"), (None, "in/other/second")):
+        again = scenarios or read_scenarios(tmp_path / "in" / "first" / "runs.csv")
+        with Workers() as workers:
+            Study(again, conditions, tmp_path / name).run(workers)
+        with (tmp_path / name / "runs.csv").open(newline="") as file:
+            tables.append(list(csv.DictReader(file)))
+    for first, second in zip(*tables, strict=True):
+        for cell in ("least_clearance_m", "reason", "final_error"):
+            assert first[cell] == second[cell]
+    assert [row["map"] for row in tables[0]] == ["", "../../room.yaml"]
+    assert [row["map"] for row in tables[1]] == ["", "../../../room.yaml"]
+    assert tables[0][0]["contacts"] == "" and tables[0][1]["reason"].startswith("the goal: no way")
+    digests = {fingerprint(conditions, some).get("map") for some in (
+        [free, free], [free, walled], [walled, free]
+    )}
+    assert len(digests) == 3 and None in digests
 
 
 def test_drawn_places_are_uniform_over_what_is_clear() -> None:

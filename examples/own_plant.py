@@ -20,7 +20,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.contract import PlantSettings

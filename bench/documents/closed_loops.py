@@ -27,7 +27,7 @@ from sphere_nmpc.model.disturbance import momentum_of_push, rest_speeds, time_to
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.model.units import RobotUnits
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.evaluation.metrics import (
     SETTLED_ERROR,

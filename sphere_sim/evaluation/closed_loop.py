@@ -15,7 +15,7 @@ from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.evaluation.series import RobotSeries, Series
 from sphere_sim.world.disturbances import Push
 from sphere_sim.world.simulator import Simulator

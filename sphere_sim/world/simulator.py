@@ -6,7 +6,7 @@ import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, as_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.world.drives import CommandFollower
 from sphere_sim.world.imu_sensor import ImuReading, ImuSensor, SimulatedImuSettings
 from sphere_sim.world.plant.contract import Plant

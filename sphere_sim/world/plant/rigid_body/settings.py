@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 from sphere_sim.world.plant.contract import PlantSettings
 from sphere_sim.world.plant.rolling_plant import step_scale, time_scale
 

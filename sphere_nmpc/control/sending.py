@@ -196,4 +196,4 @@ def _unplanned(
     status: PlanStatus, hold: FirstOrderHold, state: Vector | None, message: str
 ) -> Plan:
     states = np.empty((0, STATE_SIZE)) if state is None else state[None, :]
-    return Plan(status, hold, states, conditions=(Condition(Kind.PLANNED, message),))
+    return Plan(hold, states, status, conditions=(Condition(Kind.PLANNED, message),))

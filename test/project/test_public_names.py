@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from documented_examples import EXAMPLES
+from notebook_cells import agree
 
 PACKAGES = "sphere_nmpc", "sphere_sim"
 MOST_NAMES = 25
@@ -48,6 +49,25 @@ def sources() -> dict[str, str]:
         blocks = re.findall(r"```python\n(.*?)```", path.read_text("utf-8"), re.DOTALL)
         found[path.name] = "\n".join(blocks)
     return found
+
+
+SHOWN = [
+    pytest.param(code, output, id=f"{path.stem}-{number}")
+    for path in sorted((ROOT / "docs").glob("*.md"))
+    for number, (code, output) in enumerate(re.findall(
+        r"```python\n([^`]*)```\n+```text\n([^`]*)```", path.read_text("utf-8")
+    )) if "import" in code
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("code", "output"), SHOWN)
+def test_code_in_documents_prints_what_is_shown_below_it(code, output, tmp_path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert agree(output, done.stdout), done.stdout
 
 
 def test_examples_and_documents_import_public_names_alone() -> None:

@@ -233,7 +233,9 @@ class MinimumTimeProblem(Shooting):
     least_duration: float = 0.0
 
     def terminal_error(self, solution: "Solution") -> float:
-        """Return |e|_1 of a solution [-]."""
+        """Return |e|_1 of a solution [-], infinite where it is not finite."""
+        if solution.status is SolveStatus.NOT_FINITE:
+            return np.inf
         left = solution.cost - solution.stretch * float(np.sum(self.durations))
         if self.effort_weight > 0.0:
             left -= self.effort(solution.inputs, solution.stretch)

@@ -117,7 +117,9 @@ class ArrivalSolver:
         )
         solution = solve(problem, knots, self._trial)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
-        error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
+        error = math.inf
+        if solution.status is not SolveStatus.NOT_FINITE:
+            error = math.sqrt(solution.cost)
         return _plan(goal, orientation, guess.start, solution, error, work)
 
     def solve(
@@ -183,10 +185,10 @@ class ArrivalSolver:
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
         solution = solve(problem, guess.speeds[1:], settings, budget)
-        error = problem.terminal_error(solution) if _is_finite(solution) else math.inf
+        error = problem.terminal_error(solution)
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
-        work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
+        work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * durations.size
         return _plan(goal, orientation, guess.start, solution, error, work, turns)
 
     def solves(
@@ -282,10 +284,6 @@ def rolled_out(plan: Plan, situation: Situation, hold: FirstOrderHold) -> Plan:
 def _demanded(situation: Situation, goal: Goal) -> Orientation:
     """Return what is demanded of the orientation: with momentum all, to rest there."""
     return goal.orientation if situation.has_small_momentum else Orientation.FULL
-
-
-def _is_finite(solution: Solution) -> bool:
-    return solution.status is not SolveStatus.NOT_FINITE
 
 
 def _plan(

@@ -194,9 +194,10 @@ def _scenario(
     disturbances = _settings(path, line, fields, DisturbanceSettings, DISTURBANCE_COLUMNS)
     speed = _settings(path, line, fields, ControllerSettings, (PATH_SPEED_COLUMN,))
     named = fields.pop(MAP_COLUMN, "").strip()
+    map_file = _map(path, line, _beside(path, named), maps) if named else None
     return Scenario(
         start, goal, seed, fields, given, push, disturbances, follows,
-        speed.get(PATH_SPEED_COLUMN), _map(path, line, named, maps) if named else None,
+        speed.get(PATH_SPEED_COLUMN), map_file,
     )
 
 
@@ -205,14 +206,13 @@ def _beside(path: Path, text: str) -> Path:
     return (path.parent / os.path.expanduser(text)).absolute()
 
 
-def _map(path: Path, line: int, text: str, known: set[Path]) -> Path:
-    """Return the map file that a scenario names; each is read once, as the runs will read it."""
-    file = _beside(path, text)
+def _map(path: Path, line: int, file: Path, known: set[Path]) -> Path:
+    """Return the map file that a scenario names; each is read once, to see that it can be."""
     try:
         if file not in known:
             read_map(file)
     except InvalidMapError as error:
-        given = f"{shown(text)}, {shown(error.given)}"
+        given = f"{shown(file.name)}, {shown(error.given)}"
         raise ScenarioFileError(path, given, error.expected, line, MAP_COLUMN) from None
     known.add(file)
     return file

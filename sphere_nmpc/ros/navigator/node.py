@@ -175,7 +175,7 @@ class NavigatorNode(GuardedNode):
         accepted.handle.publish_feedback(feedback_of(
             accepted.server.action_type, report,
             (self.get_clock().now().nanoseconds - accepted.stamp) / NANOSECONDS,
-            accepted.stage(pursuit.stage), pose, accepted.ways,
+            accepted.stage(pursuit.stage), pose, pursuit.message, accepted.ways,
         ))
 
     def _navigators(self) -> list[str]:

@@ -86,11 +86,11 @@ class ControllerNode(ClockedNode):
             self._event_log,
         )
         self.resources.callback(self._floor_receiver.close)
-        worker: WorkerProcess | None = None
+        self._worker: WorkerProcess | None = None
         if self._schedule.is_real_time:
-            worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
-            self.resources.callback(worker.close)
-        self.controller = Controller(settings, robot, worker=worker)
+            self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
+            self.resources.callback(self._worker.close)
+        self.controller = Controller(settings, robot, worker=self._worker)
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
         self._goal_logged_at = -math.inf

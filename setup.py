@@ -34,10 +34,15 @@ used; its minor versions below 1.0 change interfaces, as 0.11 did those of the r
 SCIPY = "scipy>=1.11,<2"
 MAPS = ["pyyaml>=5.4", "pillow>=9", SCIPY]
 """To read map files, and for distances on maps."""
-ROS = ("ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6")
+ROS = {
+    "ros": ("ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6"),
+    "ros-kilted": ("ros-kilted-rclpy[fastrtps]>=9.1,<10", "ros-kilted-common-interfaces>=5.5,<6"),
+}
+"""Wheels of ROS by extra, of which an environment takes one."""
 EXTRAS = {
     # There are no wheels of ROS for other machines: there it comes from an installation of ROS.
-    "ros": [*(f"{wheel}; platform_machine == 'x86_64'" for wheel in ROS), *MAPS],
+    **{extra: [*(f"{wheel}; platform_machine == 'x86_64'" for wheel in wheels), *MAPS]
+       for extra, wheels in ROS.items()},
     "record": [*READING, "mcap-ros2-support>=0.5,<1"],
     "sim": ["rich>=13", "matplotlib>=3.8,<4", *MAPS],
     "study": ["dask>=2024.8", "distributed>=2024.8"],
@@ -185,6 +190,8 @@ setup(
         *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in SHARED),
     ],
     install_requires=["numpy>=1.26,<3"],
-    extras_require={**EXTRAS, "all": sorted({r for rs in EXTRAS.values() for r in rs})},
+    extras_require=EXTRAS | {
+        "all": sorted({r for extra, rs in EXTRAS.items() if extra != "ros-kilted" for r in rs})
+    },
     entry_points={"console_scripts": [f"{NAME} = sphere_sim.cli.main:main"]},
 )

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of the actions of Nav2, checked and translated."""
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.quantity import NANOSECONDS
 from sphere_nmpc.ros.messages import framed_places_from_ros, framed_poses_from_ros
 
-_INSTALL = "apt install ros-jazzy-nav2-msgs"
+_INSTALL = f"apt install ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-nav2-msgs"
 _LARGEST = 2**15 - 1
 """Largest count in a message of the actions."""
 _LONGEST = 2**31 - 1
@@ -118,7 +119,7 @@ def result_of(
 
 
 def _fill(message: Any, values: Mapping[str, Any]) -> Any:
-    """Set those fields of a message that it has in the version of Nav2 that is installed."""
+    """Set the values of those fields that a message has in the installed version of Nav2."""
     for name, value in values.items():
         if hasattr(message, name):
             setattr(message, name, value)

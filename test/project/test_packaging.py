@@ -187,17 +187,14 @@ def test_platforms_that_are_claimed_are_those_of_the_table_of_what_was_run() -> 
     was_run = [row for row in rows if not row[-1].startswith("not run")]
     classifiers = metadata.metadata("sphere_nmpc").get_all("Classifier") or []
     versions = [c.split(" :: ")[2] for c in classifiers if "Python :: 3." in c]
-    assert len(rows) > 6 and sorted({row[0] for row in was_run}) == sorted(versions)
-    assert all(row[3] == "x86-64" and row[1].startswith("Debian") for row in was_run)
+    assert sorted({row[0] for row in was_run}) == sorted(versions)
     wheels = {r.split("-")[1] for r in metadata.requires("sphere_nmpc") or [] if "-rclpy" in r}
     assert {row[2] for row in was_run} == {f"{name.title()}, wheels" for name in wheels}
 
 
 def test_the_package_requires_numpy_only_and_the_lock_satisfies_every_extra() -> None:
-    requirements = [
-        requirement for requirement in map(Requirement, metadata.requires("sphere_nmpc"))
-        if not requirement.name.startswith("ros-kilted")  # in the place of those of Jazzy
-    ]
+    of_all = (r for r in metadata.requires("sphere_nmpc") if "ros-kilted-" not in r)
+    requirements = [*map(Requirement, of_all)]
     core = {r.name for r in requirements if "extra" not in str(r.marker)}
     assert core == {"numpy"}
     lines = (ROOT / "requirements" / "lock.txt").read_text().splitlines()

@@ -158,7 +158,8 @@ def actions(context: LaunchContext) -> list:
     simulator |= {"pose_source": "odometry"} if has_odometry else {}
     for argument, wanted, package in (("rviz", shown, "rviz2"), ("navigator", navigator, ACTIONS)):
         if wanted and not is_installed(package):
-            remedy = f"apt install ros-jazzy-{package.replace('_', '-')}"
+            distribution = os.environ.get("ROS_DISTRO", "jazzy")
+            remedy = f"apt install ros-{distribution}-{package.replace('_', '-')}"
             raise RuntimeError(f"{argument}:=true: '{package}' is not installed; {remedy}")
     refuse_other_nodes(place, value["clock"])
     common = {"namespace": f"/{place}", "output": "screen"}

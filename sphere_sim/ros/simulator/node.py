@@ -107,6 +107,7 @@ class SimulatorNode(GuardedNode):
             lambda walls: self.simulator.plant.surround(walls), self._fault_log, self._event_log,
             is_planner=False,
         )
+        self.resources.callback(self._floor_receiver.close)
         start, walls = as_state(settings.initial_state), self._floor_receiver.floor
         plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
         self.simulator = Simulator(settings, robot, plant, imu if settings.has_odometry else None)
@@ -158,11 +159,6 @@ class SimulatorNode(GuardedNode):
         self._state_publisher.publish(self.simulator)
         if not self._simulated_clock.paused:
             self._simulated_clock.resume(0, wall)
-
-    def destroy_node(self) -> None:
-        """Destroy the node."""
-        self._floor_receiver.close()
-        super().destroy_node()
 
     @property
     def thread_priority(self) -> int:

@@ -31,7 +31,7 @@ demo: $(DEMO_VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2"); firs
 	$(DEMO_VENV)/bin/sphere_nmpc demo $(ARGS)
 	@echo "next: . $(DEMO_VENV)/bin/activate, and then that command, or sphere_nmpc --help"
 	@[ $(DEMO_VENV) = $(VENV) ] || \
-		echo "studies, maps and the plant with contact need all, 350 MB to download: make venv"
+		echo "maps, the plant with contact, identify and benchmark need the rest, 350 MB: make venv"
 
 test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in about 6 minutes (ARGS="-k name")
 	@echo "all tests take about six minutes on two idle cores, longer on busy ones"

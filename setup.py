@@ -174,7 +174,7 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sphere_sim", "sphere_sim.*"]),
-    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.csv", "*.xml"]},
+    package_data={"": ["py.typed", "*.pyi", "*.css", "*.html", "*.js", "*.csv", "*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -43,7 +43,7 @@ from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.foreign.file import InvalidFileError, find_file
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.process.child import module_command
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.round_numbers import grid_cell

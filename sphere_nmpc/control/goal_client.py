@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Any
 
 from sphere_nmpc.control.goal_report import OF_THE_WAY, GoalReport, Patience
-from sphere_nmpc.quantity import quantity, stamp_text, validate
+from sphere_nmpc.quantities import quantity, stamp_text, validate
 
 _RETRY_TIME = 1.0
 """Time [s] after which a goal that no status shows, or a request to cancel, is sent again; the

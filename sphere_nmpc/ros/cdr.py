@@ -26,7 +26,7 @@ from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
 """Names of the rotors about body x and body y."""

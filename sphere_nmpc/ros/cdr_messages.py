@@ -11,16 +11,8 @@ import numpy as np
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector, upright_state
-from sphere_nmpc.quantity import NANOSECONDS
-from sphere_nmpc.ros.cdr import (
-    BEGIN,
-    JOINT_NAMES,
-    LENGTH,
-    PLAIN,
-    STAMP,
-    WORLD_FRAME,
-    stamp_of,
-)
+from sphere_nmpc.quantities import NANOSECONDS
+from sphere_nmpc.ros.cdr import BEGIN, JOINT_NAMES, LENGTH, PLAIN, STAMP, WORLD_FRAME, stamp_of
 
 
 def clock_message(stamp: int) -> bytes:

@@ -9,12 +9,15 @@ and strings that annotate an array are its shape, with N intervals.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector, without_momentum
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP
+
+_Kind = TypeVar("_Kind", bound="Shooting")
 
 
 def _always(*values: float) -> Callable[[], Vector]:
@@ -23,6 +26,8 @@ def _always(*values: float) -> Callable[[], Vector]:
     array.flags.writeable = False
     return lambda: array
 
+
+_STOPPED: Vector = _always(0.0, 0.0)()
 
 class End(IntEnum):
     """What the rotor speeds at the end of a plan are to be: those of rest, given ones, or any.
@@ -102,6 +107,26 @@ class Shooting:
     end: End = End.REST
     end_speeds: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
 
+    @classmethod
+    def of(
+        cls: type[_Kind], robot: RobotParameters, state: Vector, goal: Vector, durations: Vector,
+        input_in_force: Vector = _STOPPED, **others: Any,
+    ) -> _Kind:
+        """Return the problem of a robot as built, with the limits of its drives.
+
+        The state, shape (9,), has no momentum where it is a pose, shape (6,). `others` are further
+        fields.
+        """
+        limit = np.full((durations.size, INPUT_SIZE), robot.max_rotor_speed)
+        fields: dict[str, Any] = {
+            "state": without_momentum(state) if state.size == POSE_SIZE else state, "goal": goal,
+            "input_in_force": input_in_force, "durations": durations,
+            "constants": robot.lumped.as_array(), "lower": -limit, "upper": limit,
+            "input_scale": robot.max_rotor_speed,
+            "max_acceleration": robot.max_rotor_acceleration,
+        }
+        return cls(**fields | others)
+
     @property
     def intervals(self) -> int:
         """N, the number of intervals and of free knots."""
@@ -141,6 +166,23 @@ class LeastSquaresProblem(Shooting):
     stage_weight: float = 0.0
     input_weight: float
     input_reference: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
+
+    @classmethod
+    def of_paper(
+        cls, robot: RobotParameters, state: Vector, goal: Vector, input_in_force: Vector,
+        horizon: int = 4, period: float = 0.5, alpha: float = 0.5, beta: float = 1e8,
+        **others: Any,
+    ) -> "LeastSquaresProblem":
+        """Return OCP_N of the paper (Eqs. 25 and 34) with its N, T, alpha and beta.
+
+        Its cost is the paper's over beta. The arguments are those of `of`.
+        """
+        scale = robot.max_rotor_speed
+        return cls.of(
+            robot, state, goal, np.full(horizon, period), input_in_force,
+            stage_weight=1.0 / beta, input_weight=alpha * scale**2 / beta,
+            max_acceleration=np.inf, **others,
+        )
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -189,6 +231,15 @@ class MinimumTimeProblem(Shooting):
     whole_turns: float = 0.0
     effort_weight: float = 0.0
     least_duration: float = 0.0
+
+    def terminal_error(self, solution: "Solution") -> float:
+        """Return |e|_1 of a solution [-], infinite where it is not finite."""
+        if solution.status is SolveStatus.NOT_FINITE:
+            return np.inf
+        left = solution.cost - solution.stretch * float(np.sum(self.durations))
+        if self.effort_weight > 0.0:
+            left -= self.effort(solution.inputs, solution.stretch)
+        return max(0.0, left) / self.error_weight
 
     def effort(self, inputs: Vector, stretch: float) -> float:
         """Return the effort [s] of speeds u_0 ... u_N, (N + 1, 2) [rad/s], times its weight."""
@@ -254,6 +305,8 @@ class Solution:
         u_0 (in force) to u_N [rad/s].
     states : ndarray, shape (N + 1, 9)
         x_0 to x_N.
+    durations : ndarray, shape (N,)
+        Those of the problem [s], which `stretch` multiplies.
     cost : float
         Value of the objective.
     status : SolveStatus
@@ -271,9 +324,15 @@ class Solution:
 
     inputs: Annotated[Vector, "N + 1", 2]
     states: Annotated[Vector, "N + 1", 9]
+    durations: Annotated[Vector, "N"]
     cost: float
     status: SolveStatus
     iterations: int
     kkt_residual: float
     solve_time: float
     stretch: float = 1.0
+
+    @property
+    def times(self) -> Vector:
+        """Times of the knots from 0 on [s], shape (N + 1,)."""
+        return np.concatenate(([0.0], np.cumsum(self.stretch * self.durations)))

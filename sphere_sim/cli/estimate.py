@@ -18,7 +18,7 @@ from sphere_nmpc.estimation.mounting import RobotFrames
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS, counted, quantities
+from sphere_nmpc.quantities import NANOSECONDS, counted, quantities
 from sphere_nmpc.ros.cdr import BODY_FRAME, JOINT_NAMES
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry, estimate_table

@@ -32,7 +32,7 @@ from sphere_nmpc.errors import (
 from sphere_nmpc.foreign.file import InvalidFileError, open_file
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.scenario.scenarios import (
     DISTURBANCE_COLUMNS,

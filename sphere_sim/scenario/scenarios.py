@@ -16,6 +16,7 @@ from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import (
@@ -26,6 +27,7 @@ from sphere_nmpc.model.state import (
     make_state,
     upright_state,
 )
+from sphere_sim.scenario.lower_bound import lower_bound
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 if TYPE_CHECKING:
@@ -92,6 +94,13 @@ class Scenario:
         if self.follows is None:
             return Course.of(Goal(as_state(self.goal)))
         return Course.along(*Path.through(self.follows.places, tolerance, radius))
+
+    def lower_bound(self, robot: RobotParameters) -> float:
+        """Return a time [s] in which no motion leads from the start to the goal, at rest at both.
+
+        It holds without momentum on a level floor.
+        """
+        return lower_bound(self.start, self.goal, robot)
 
     @property
     def optional(self) -> dict[str, float]:

@@ -26,7 +26,6 @@ from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import (
     LOOSELY_SETTLED,
-    errors_to,
     measure,
     measure_along,
     stay_below,
@@ -109,8 +108,7 @@ def closed_loop(
     simulator, controller = made or prepare(conditions, scenario)
     return run_closed_loop(
         simulator, controller, course_of(conditions, scenario) if goal is None else goal,
-        conditions.duration, conditions.controller.control_period, output_period,
-        conditions.latency, scenario.push, poses,
+        conditions.duration, output_period, conditions.latency, scenario.push, poses,
     )
 
 
@@ -130,7 +128,7 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
         made = simulator, controller
         trajectory = closed_loop(conditions, scenario, made, course, poses=poses)
         inputs = followed_inputs(trajectory.holds, conditions.duration)
-        results = _results(trajectory, course.goals[-1], inputs)
+        results = _results(trajectory, inputs)
         results |= _along(trajectory, course, conditions.robot.shell_radius)
         settling = results["settle_time_s"]
         if scenario.push is not None and trajectory.at_push.size and settling is not None:
@@ -149,14 +147,13 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     return RunRecord(results, inputs.times, inputs.speeds, trajectory.at_push)
 
 
-def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict[str, Value]:
+def _results(trajectory: Trajectory, inputs: FirstOrderHold) -> dict[str, Value]:
     planned = [d.plan.made.solve_time for d in trajectory.decisions if d.solved and d.is_new]
-    measured = measure(trajectory, goal, np.array(planned))
+    measured = measure(trajectory, trajectory.goal, np.array(planned))
     turned = trajectory.rotor_speeds
     speeds = np.vstack((turned.values, inputs.speeds))
     results = {name: finite(value) for name, value in asdict(measured).items()}
-    errors = errors_to(goal, trajectory.states)[:, 0]
-    stay = stay_below(trajectory.times, errors, LOOSELY_SETTLED)
+    stay = stay_below(trajectory.times, trajectory.errors, LOOSELY_SETTLED)
     if stay is not None:
         results["loose_settle_time_s"] = stay.since
         results["tail_error_p95"] = stay.p95

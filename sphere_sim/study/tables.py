@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import write_atomically
 from sphere_sim.scenario.csv_file import PATH_COLUMN, SEED_COLUMN, STATE_COLUMNS

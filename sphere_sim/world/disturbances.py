@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from sphere_nmpc.model.disturbance import GRAVITY
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 
 @dataclass(frozen=True)

@@ -346,7 +346,7 @@ def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
 def along_x(way: float, status: PlanStatus = PlanStatus.SOLVED) -> Given:
     """Return a strategy that always plans to roll by a way along x [m]."""
     return Given(lambda now: Plan(
-        status, rolled(way).delayed(now.time), np.vstack((now.state, now.state))
+        rolled(way).delayed(now.time), np.vstack((now.state, now.state)), status
     ))
 
 

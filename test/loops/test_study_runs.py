@@ -47,13 +47,9 @@ PUSHED = replace(SCENARIO, push=Push(1.234567891, (0.3, -0.4)))
 SHORT = StudyConditions(duration=4.0)
 
 
-def run(
-    conditions: StudyConditions, scenario: Scenario, duration: float, period: float
-) -> Trajectory:
+def run(conditions: StudyConditions, scenario: Scenario, duration: float) -> Trajectory:
     simulator, controller = prepare(conditions, scenario)
-    return run_closed_loop(
-        simulator, controller, scenario.goal, duration, period, push=scenario.push
-    )
+    return run_closed_loop(simulator, controller, scenario.goal, duration, push=scenario.push)
 
 
 @pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
@@ -61,7 +57,7 @@ def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
     if plant == "rigid_body":
         pytest.importorskip("mujoco")
     conditions = SHORT.with_settings([("plant", plant)])
-    still, pushed = (run(conditions, scenario, 2.0, 0.5) for scenario in (SCENARIO, PUSHED))
+    still, pushed = (run(conditions, scenario, 2.0) for scenario in (SCENARIO, PUSHED))
     assert not still.at_push.size
     before = pushed.times < 1.234
     # The contact is integrated in other steps up to the push, which is between two samples.
@@ -96,7 +92,7 @@ def test_run_along_a_closed_path_is_settled_once_it_has_followed_it(speed) -> No
 
 def test_recorded_inputs_reproduce_speeds_and_states() -> None:
     conditions = SHORT.with_settings([("control_rate", "7.0")])
-    trajectory = run(conditions, SCENARIO, 4.0, conditions.controller.control_period)
+    trajectory = run(conditions, SCENARIO, 4.0)
     inputs = followed_inputs(trajectory.holds, 4.0)
     assert (inputs.start, inputs.end) == (0.0, 4.0)
     for i in range(2):
@@ -230,7 +226,7 @@ def test_runs_on_an_odometry_are_judged_on_the_true_state() -> None:
     assert abs(results["final_position_error_m"] - off) < 5e-3
     with pytest.raises(InvalidParameterError, match="latency"):
         simulator, controller = prepare(conditions, SCENARIO)
-        run_closed_loop(simulator, controller, SCENARIO.goal, 1.0, 0.25, latency=0.1, poses=list)
+        run_closed_loop(simulator, controller, SCENARIO.goal, 1.0, latency=0.1, poses=list)
 
 
 def test_deviations_that_odometry_and_controller_state_cover_their_errors() -> None:
@@ -240,7 +236,7 @@ def test_deviations_that_odometry_and_controller_state_cover_their_errors() -> N
     for scenario in draw_scenarios(4, 9):
         simulator, controller = prepare(conditions, scenario)
         poses = OdometryPoses(simulator, simulator.imu, conditions.odometry, conditions.robot)
-        run = run_closed_loop(simulator, controller, scenario.goal, 3.0, 0.25, poses=poses)
+        run = run_closed_loop(simulator, controller, scenario.goal, 3.0, poses=poses)
         poses()
         squares.append(error_of(poses.odometry, simulator.plant.state)[1])
         decision, spread = run.decisions[-1], poses.odometry.estimate.covariance[:2, :2]

@@ -25,7 +25,7 @@ from ros_graph import Graph, running_graph
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities, quantity, validate
+from sphere_nmpc.quantities import quantities, quantity, validate
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.navigator.node import NavigatorNode
 from sphere_nmpc.ros.navigator.substitutes import SERVICES

@@ -33,7 +33,7 @@ from rosbags.rosbag2 import Reader
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign.entry_table import Entry
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry

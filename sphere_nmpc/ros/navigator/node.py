@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import Description, InvalidInputError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.quantities import NANOSECONDS, counted
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode

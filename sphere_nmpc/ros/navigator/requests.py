@@ -13,7 +13,7 @@ from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.messages import framed_places_from_ros, framed_poses_from_ros
 
 _INSTALL = "apt install ros-jazzy-nav2-msgs"

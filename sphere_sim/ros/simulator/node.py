@@ -27,7 +27,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
-from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.quantities import NANOSECONDS, counted
 from sphere_nmpc.reporting.conditions import OK, WARN, Condition, Kind, Report
 from sphere_nmpc.ros.cdr import Pose, fields
 from sphere_nmpc.ros.diagnostics import Diagnostics

@@ -44,10 +44,7 @@ project_copyright = f"2026 {author}"
 release = PACKAGE.findtext("version", "")
 
 nitpicky = True
-extensions = [
-    "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx-mathjax-offline",
-    "sphinxcontrib.mermaid",
-]
+extensions = ["myst_parser", "sphinx-mathjax-offline", "sphinxcontrib.mermaid"]
 root_doc = "README"
 include_patterns = ["*.md", "docs/*.md", "docs/api/*.md", "msg_docs/*.md", "bench/README.md"]
 
@@ -62,17 +59,18 @@ highlight_language = "text"
 nitpick_ignore_regex = [
     # Documents of Python, NumPy and CasADi are on other hosts.
     ("py:class", r"(collections|pathlib|numpy|casadi)\..+"),
-    # Type variables.
-    ("py:class", r"sphere_.*\.(S|T|_Kind)"),
+    ("py:class", r"sphere_.*\.(S|T|_Kind)"),  # type variables
     # Parts that public names hand on to each other: no example makes or reads them.
     ("py:class", r"sphere_.*\.(Floor|Motion|RobotUnits|RunRecord|Walls|Workers?)"),
 ]
 suppress_warnings = ["myst.strikethrough"]  # "only in HTML", which is what is made
 
-# The pages of the API. CasADi, which the documents do not need otherwise, takes 150 MB.
+# The pages of the API. One annotation needs CasADi, which takes 150 MB.
+extensions += ["sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 autodoc_mock_imports = ["casadi"]
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 python_maximum_signature_line_length = 88
+toc_object_entries_show_parents = "hide"
 # Shapes are no types: they are not looked up.
 napoleon_use_param = napoleon_use_rtype = False
 napoleon_custom_sections = [("Attributes", "params_style")]

@@ -191,7 +191,8 @@ class MinimumTimeProblem(Shooting):
 
     Minimise, for the knots and sigma::
 
-        sigma sum_{m=1}^{N} h_m + w |e|_1 + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
+        sigma sum_{m=1}^{N} h_m + w |e|_1
+            + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
 
     subject to ``|u_m - u_{m-1}| <= a sigma h_m, sigma sum_m h_m >= t_min``. The last sum is the
     effort [s]: the time for which rotors accelerate, by the square of the share of the limit. The

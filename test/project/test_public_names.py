@@ -83,7 +83,7 @@ def test_public_name_has_an_example_that_prints_what_its_page_shows(
     package, name, tmp_path, monkeypatch
 ) -> None:
     section = SECTIONS[name]
-    assert f":: {package}.{name}\n" in section
+    assert f":: {package}.{name}" in section
     (code,) = re.findall(r"```pycon\n(.*?)```", section, re.DOTALL)
     example = doctest.DocTestParser().get_doctest(code, {"__name__": "example"}, name, None, None)
     assert re.search(rf"import .*\b{name}\b", code) and any(one.want for one in example.examples)

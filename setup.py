@@ -34,10 +34,12 @@ used; its minor versions below 1.0 change interfaces, as 0.11 did those of the r
 SCIPY = "scipy>=1.11,<2"
 MAPS = ["pyyaml>=5.4", "pillow>=9", SCIPY]
 """To read map files, and for distances on maps."""
-ROS = ("ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6")
+# There are no wheels of ROS for other machines: there it comes from an installation of ROS.
+ROS = "ros-{0}-rclpy[fastrtps]{1}; platform_machine == 'x86_64'", (
+    "ros-{0}-common-interfaces{2}; platform_machine == 'x86_64'"
+)
 EXTRAS = {
-    # There are no wheels of ROS for other machines: there it comes from an installation of ROS.
-    "ros": [*(f"{wheel}; platform_machine == 'x86_64'" for wheel in ROS), *MAPS],
+    "ros": [*(wheel.format("jazzy", ">=7.1,<8", ">=5.3,<6") for wheel in ROS), *MAPS],
     "record": [*READING, "mcap-ros2-support>=0.5,<1"],
     "sim": ["rich>=13", "matplotlib>=3.8,<4", *MAPS],
     "study": ["dask>=2024.8", "distributed>=2024.8"],
@@ -188,6 +190,10 @@ setup(
         *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in SHARED),
     ],
     install_requires=["numpy>=1.26,<3"],
-    extras_require={**EXTRAS, "all": sorted({r for rs in EXTRAS.values() for r in rs})},
+    extras_require={
+        **EXTRAS, "all": sorted({r for rs in EXTRAS.values() for r in rs}),
+        # In the place of `ros`.
+        "ros-kilted": [*(wheel.format("kilted", ">=9.1,<10", ">=5.5,<6") for wheel in ROS), *MAPS],
+    },
     entry_points={"console_scripts": [f"{NAME} = sphere_sim.cli.main:main"]},
 )

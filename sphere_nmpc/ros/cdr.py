@@ -69,6 +69,12 @@ class Pose(NamedTuple):
         return pose_in_frame(self.numbers, self.frame, frame)
 
 
+class Text(NamedTuple):
+    """Text alone."""
+
+    text: str
+
+
 class UncertainPose(NamedTuple):
     """Stamped pose with the covariance of x, y, z [m] and turns about the fixed axes [rad].
 
@@ -258,6 +264,7 @@ _HEADER = _TIME, _TEXT
 _STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
 _LAYOUTS: dict[Any, tuple[Any, ...]] = {
     Clock: (_TIME,),
+    Text: (_TEXT,),
     Pose: (*_HEADER, "7d"),
     UncertainPose: (*_HEADER, "43d"),
     Imu: (*_HEADER, "37d"),

@@ -142,14 +142,14 @@ class Shooting:
 class LeastSquaresProblem(Shooting):
     """Problem of a given duration.
 
-    Minimise, for the knots,
+    Minimise, for the knots::
 
         |x_N - x_d|_s^2 + w_x sum_{m=1}^{N-1} |x_m - x_d|_s^2
             + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
             + sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
 
-    with |.|_s the norm in which positions are multiplied by s, and quaternions by the largest of
-    the weights w_q. The paper's weights over beta: w_x = 1/beta, w_u = alpha U^2 / beta.
+    with ``|.|_s`` the norm in which positions are multiplied by s, and quaternions by the largest
+    of the weights w_q. The paper's weights over beta: w_x = 1/beta, w_u = alpha U^2 / beta.
 
     By default the end is free, as in the paper. Otherwise u_N is fixed, for the momentum that the
     torque of the slope alone leads to in the given time.
@@ -189,11 +189,12 @@ class LeastSquaresProblem(Shooting):
 class MinimumTimeProblem(Shooting):
     """Problem whose durations are sigma h_m, with one factor sigma, the stretch.
 
-    Minimise, for the knots and sigma,
+    Minimise, for the knots and sigma::
 
-        sigma sum_{m=1}^{N} h_m + w |e|_1 + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
+        sigma sum_{m=1}^{N} h_m + w |e|_1
+            + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
 
-    subject to |u_m - u_{m-1}| <= a sigma h_m and sigma sum_m h_m >= t_min. The last sum is the
+    subject to ``|u_m - u_{m-1}| <= a sigma h_m, sigma sum_m h_m >= t_min``. The last sum is the
     effort [s]: the time for which rotors accelerate, by the square of the share of the limit. The
     terminal error e consists of s (p_N - p_d - v_d t_N), the vector part of q_N conj(q_d) times
     w_q, by component, (u_N - u_f - (R(q_d)^T h_N)_1,2) / U, and r_h . h_N with momentum or torque,
@@ -233,7 +234,7 @@ class MinimumTimeProblem(Shooting):
     least_duration: float = 0.0
 
     def terminal_error(self, solution: "Solution") -> float:
-        """Return |e|_1 of a solution [-], infinite where it is not finite."""
+        """Return ``|e|_1`` of a solution [-], infinite where it is not finite."""
         if solution.status is SolveStatus.NOT_FINITE:
             return np.inf
         left = solution.cost - solution.stretch * float(np.sum(self.durations))
@@ -284,7 +285,7 @@ class SolverSettings:
         minimum-time problem the first proximal weight.
     target_cost : float
         Converged as soon as the cost is below this; for feasibility searches. In a minimum-time
-        problem as soon as w |e|_1 is, be it with the initial guess.
+        problem as soon as ``w |e|_1`` is, be it with the initial guess.
     """
 
     max_iterations: int = 100

@@ -246,8 +246,9 @@ def draw_scenarios(
 ) -> list[Scenario]:
     """Return random scenarios of one of the kinds in `DRAWS`.
 
-    On a floor the positions are uniform over all of it that has the needed clearance; a goal at
-    its start stays there. Scenario i depends on the seed alone, not on `number`.
+    These are anywhere, far, kilometre, circle, half_turn, upright and typed. On a floor the
+    positions are uniform over all of it that has the needed clearance; a goal at its start stays
+    there. Scenario i depends on the seed alone, not on `number`.
     `InvalidParameterError` is raised for a floor without room for the sphere.
     """
     scenarios = []

@@ -37,10 +37,12 @@ Observer = Callable[[RunRecord], None]
 
 @dataclass(frozen=True)
 class Study:
-    """Scenarios, at least one, conditions and folder of a study.
+    """Scenarios, conditions and folder of a study.
 
     Attributes
     ----------
+    scenarios : sequence of Scenario
+        Start and goal of each run, at least one.
     conditions : StudyConditions
         Settings that all runs share; their strategy is the first one.
     folder : Path

@@ -13,8 +13,8 @@ from sphere_nmpc.quantities import quantity, validate
 class Push:
     """Push at the centre of the sphere."""
 
-    time: float  # from the start of the run [s]
-    impulse: tuple[float, float]  # x, y [N s; world frame]
+    time: float  #: Time from the start of the run [s].
+    impulse: tuple[float, float]  #: Impulse x, y [N s; world frame].
 
 
 @dataclass(frozen=True)

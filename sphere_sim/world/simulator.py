@@ -21,9 +21,16 @@ _LONGEST_STEP = 10_000_000
 class Simulator:
     """Simulation of a plant on a clock of whole nanoseconds, with ROS and without.
 
-    `robot` has the true parameters, by default those of Table 1. The plant is by default the one
-    named in `settings`, with default settings of its own. Without settings of an IMU there is
-    none.
+    Parameters
+    ----------
+    settings : SimulatorSettings, optional
+        Plant, start, drives, noise and pose sensor.
+    robot : RobotParameters, optional
+        The true parameters; defaults to those of Table 1.
+    plant : Plant, optional
+        Defaults to the one named in `settings`, with default settings of its own.
+    imu : SimulatedImuSettings, optional
+        Mounting and errors of an IMU; without them there is none.
     """
 
     def __init__(

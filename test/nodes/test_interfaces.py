@@ -103,8 +103,8 @@ def test_tables_agree_with_the_node_which_may_be_in_a_namespace(nodes, name) -> 
     assert offered(nodes[name]) == documented
 
 
-OF_TOOLS = {"/markers", "/robot_description"}
-"""Topics of the marker node and of robot_state_publisher."""
+OF_TOOLS = {"/markers"}
+"""Topics of the marker node."""
 
 
 def strings(value: Any) -> Iterator[str]:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Public names: few, loaded when used, and all that examples and notebooks import."""
 
+import doctest
 import importlib
 import json
 import re
@@ -45,8 +46,8 @@ def sources() -> dict[str, str]:
     for path in EXAMPLES.glob("*.ipynb"):
         cells = json.loads(path.read_text("utf-8"))["cells"]
         found[path.name] = "\n".join("".join(cell["source"]) for cell in cells)
-    for path in (ROOT / "docs").glob("*.md"):
-        blocks = re.findall(r"```python\n(.*?)```", path.read_text("utf-8"), re.DOTALL)
+    for path in (ROOT / "docs").rglob("*.md"):
+        blocks = re.findall(r"```py(?:thon|con)\n(.*?)```", path.read_text("utf-8"), re.DOTALL)
         found[path.name] = "\n".join(blocks)
     return found
 
@@ -70,9 +71,33 @@ def test_code_in_documents_prints_what_is_shown_below_it(code, output, tmp_path)
     assert agree(output, done.stdout), done.stdout
 
 
+SECTIONS = {
+    text.partition("\n")[0]: text for path in (ROOT / "docs" / "api").glob("*.md")
+    for text in path.read_text("utf-8").split("\n## ")
+}
+"""Sections of the pages of the API, by heading."""
+
+
+@pytest.mark.parametrize(("package", "name"), [
+    pytest.param(*one, marks=pytest.mark.slow if one[1] == "score" else ()) for one in NAMES
+])
+def test_public_name_has_an_example_that_prints_what_its_page_shows(
+    package, name, tmp_path, monkeypatch
+) -> None:
+    section = SECTIONS[name]
+    assert f":: {package}.{name}" in section
+    (code,) = re.findall(r"```pycon\n(.*?)```", section, re.DOTALL)
+    example = doctest.DocTestParser().get_doctest(code, {"__name__": "example"}, name, None, None)
+    assert re.search(rf"import .*\b{name}\b", code) and any(one.want for one in example.examples)
+    monkeypatch.chdir(tmp_path)
+    differences: list[str] = []
+    doctest.DocTestRunner().run(example, out=differences.append)
+    assert not differences, "".join(differences)
+
+
 def test_examples_and_documents_import_public_names_alone() -> None:
     texts = sources()
-    imports = re.compile(r"^\s*(?:from|import) (sphere_(?:nmpc|sim)[\w.]*)", re.MULTILINE)
+    imports = re.compile(r"^(?:>>>)?\s*(?:from|import) (sphere_(?:nmpc|sim)[\w.]*)", re.MULTILINE)
     used = {(name, module) for name, text in texts.items() for module in imports.findall(text)}
     assert len({name for name, _ in used}) >= 6
     assert {module for _, module in used} == {*PACKAGES}

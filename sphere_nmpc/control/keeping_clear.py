@@ -42,7 +42,10 @@ def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strateg
         return replace(plan, hold=own.hold, states=own.states)
     if not plan.hold.speeds.any():
         return plan
-    clearance = clearance_of(situation, plan.hold, Margin.KEPT)
+    hold = plan.hold
+    if situation.has_small_momentum:  # else the rotors rest at speeds that hold the momentum
+        hold = hold.stop(hold.end, robot.max_rotor_acceleration)  # as it is sent
+    clearance = clearance_of(situation, hold, Margin.KEPT)
     if not math.isnan(clearance):
         return replace(plan, clearance=clearance)
     stopped = stop(situation, robot, "not clear").giving_up(

@@ -43,8 +43,9 @@ def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strateg
     if not plan.hold.speeds.any():
         return plan
     hold = plan.hold
-    if situation.has_small_momentum:  # else the rotors rest at speeds that hold the momentum
-        hold = hold.stop(hold.end, robot.max_rotor_acceleration)  # as it is sent
+    # It is sent with a stop at its end. Rotors that turn there may hold a large momentum, at rest.
+    if hold.speeds[-1].any() and situation.has_small_momentum:
+        hold = hold.stop(hold.end, robot.max_rotor_acceleration)
     clearance = clearance_of(situation, hold, Margin.KEPT)
     if not math.isnan(clearance):
         return replace(plan, clearance=clearance)

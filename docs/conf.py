@@ -46,7 +46,8 @@ release = PACKAGE.findtext("version", "")
 nitpicky = True
 extensions = ["myst_parser", "sphinx-mathjax-offline", "sphinxcontrib.mermaid"]
 root_doc = "README"
-include_patterns = ["*.md", "docs/*.md", "docs/api/*.md", "msg_docs/*.md", "bench/README.md"]
+include_patterns = ["*.md", "docs/*.md", "docs/api/*.md", "msg_docs/*.md"]
+include_patterns += ["bench/README.md", ".github/[CS]*.md"]
 
 # What the documents use of the Markdown of forges.
 myst_enable_extensions = ["dollarmath", "strikethrough"]
@@ -99,7 +100,8 @@ def add_contents(app: Any, document: str, source: list[str]) -> None:
     if document == root_doc:
         _, _, table = source[0].partition("\n## Documents\n")
         links = re.findall(r"\]\(([\w/]+)\.md\)", table.partition("\n## ")[0])
-        source[0] += CONTENTS.format("\n".join([*links, "docs/*", "bench/README"]))
+        links += ["docs/*", "bench/README", ".github/[CS]*"]
+        source[0] += CONTENTS.format("\n".join(links))
     elif document == "docs/api":
         links = re.findall(r"\]\((api/\w+)\.md\)", source[0])
         source[0] += CONTENTS.format("\n".join(links))

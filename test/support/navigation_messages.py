@@ -22,6 +22,8 @@ from pathlib import Path
 PACKAGE = "nav2_msgs"
 JAZZY = metadata.version("rclpy").startswith("7.")
 """Whether the types are those of Jazzy, otherwise those of Kilted."""
+MISSED = ("index", "goal") if JAZZY else ("waypoint_index", "waypoint_pose")
+"""Names of fields of a waypoint that was missed."""
 _RESULT = ("uint16 error_code", "string error_msg")
 _UNKNOWN = () if JAZZY else ("uint16 UNKNOWN=9000",)
 _STATUSES = () if JAZZY else (f"{PACKAGE}/WaypointStatus[] waypoint_statuses",)

@@ -6,7 +6,6 @@ import math
 import sys
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -30,7 +29,6 @@ from sphere_nmpc.ros.navigator.requests import (
 )
 
 POSES = [[1.0, 2.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
-MISSED = ("index", "goal") if navigation_messages.JAZZY else ("waypoint_index", "waypoint_pose")
 
 
 @pytest.fixture(scope="module")
@@ -207,11 +205,12 @@ def test_what_is_not_pursued_has_the_code_of_nav2_for_its_cause(kinds, cause, co
             beyond = 103 - code  # an invalid path
         if name == "follow_waypoints":
             assert result.error_code == unknown
-            index, goal = map(attrgetter, MISSED)
-            assert [*map(index, result.missed_waypoints)] == [0, 0]
+            index, goal = navigation_messages.MISSED
+            assert [getattr(one, index) for one in result.missed_waypoints] == [0, 0]
             of_goal = getattr(kinds["navigate_to_pose"].Result, "UNKNOWN", 1)
             assert {one.error_code for one in result.missed_waypoints} == {code or of_goal}
-            assert pose_from_ros(goal(result.missed_waypoints[0])).tolist() == POSES[0]
+            missed_goal = getattr(result.missed_waypoints[0], goal)
+            assert pose_from_ros(missed_goal).tolist() == POSES[0]
         else:
             assert result.error_code == (code + beyond or unknown)
 

@@ -51,7 +51,7 @@ EXTRAS = {
     # launch_testing's pytest plugin breaks under pytest 9.
     "test": [
         "pytest>=7.4,<9", "pytest-xdist>=3.3", "hypothesis>=6.100", "ruff>=0.9", "mypy>=1.14",
-        "packaging",
+        "packaging", "gymnasium>=1.0,<2",
     ],
 }
 
@@ -176,7 +176,10 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sphere_sim", "sphere_sim.*"]),
-    package_data={"": ["py.typed", "*.pyi", "*.css", "*.html", "*.js", "*.csv", "*.xml"]},
+    package_data={
+        "": ["py.typed", "*.pyi", "*.css", "*.html", "*.js", "*.csv", "*.xml"],
+        "sphere_sim": ["suites/*/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -15,5 +15,6 @@ from sphere_nmpc.solver.roll_out import roll_out as roll_out
 from sphere_nmpc.solver.solve import solve as solve
 from sphere_nmpc.strategy.contract import Situation as Situation
 from sphere_nmpc.strategy.plan import Plan as Plan
+from sphere_sim.study.suite import score as score
 
 __version__: str

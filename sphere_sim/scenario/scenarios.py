@@ -7,13 +7,14 @@ SciPy is imported where it is used, as it takes long to load.
 
 import pathlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
@@ -77,6 +78,8 @@ class Scenario:
         Path of the run, at whose end is its goal.
     path_speed : float, optional
         Setting of the controller of this run [m/s].
+    map_file : pathlib.Path, optional
+        Setting of the floor of this run.
     """
 
     start: Vector
@@ -88,6 +91,11 @@ class Scenario:
     disturbances: dict[str, float] = field(default_factory=dict)
     follows: GivenPath | None = None
     path_speed: float | None = None
+    map_file: pathlib.Path | None = None
+
+    def floor(self, settings: FloorSettings) -> FloorSettings:
+        """Return the settings of the floor of the run."""
+        return replace(settings, map_file=str(self.map_file)) if self.map_file else settings
 
     def course(self, tolerance: float, radius: float) -> Course:
         """Return the course of the run; see `Path.through` for what a path needs."""

@@ -26,8 +26,10 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.output.files import ResultFolderError
+from sphere_sim.scenario.csv_file import read_scenarios
 from sphere_sim.scenario.scenarios import GivenPath, Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.journal import fingerprint
 from sphere_sim.study.record import (
     FLOOR_RESULT_COLUMNS,
     ODOMETRY_RESULT_COLUMNS,
@@ -299,6 +301,22 @@ def test_study_continues_only_on_the_same_map(map_file, tmp_path) -> None:
     floor_of.cache_clear()
     with Workers() as workers, pytest.raises(ResultFolderError, match="another map"):
         study.run(workers)
+
+
+def test_each_run_has_its_own_map_also_when_it_is_run_again(map_file, tmp_path) -> None:
+    scenarios, conditions = [ACROSS, replace(ACROSS, map_file=map_file)], StudyConditions(0.5)
+    tables = []
+    for name in ("in/first", "in/other/second"):
+        Study(scenarios, conditions, tmp_path / name).run()
+        with (tmp_path / name / "runs.csv").open(newline="") as file:
+            tables.append(list(csv.DictReader(file)))
+        scenarios = read_scenarios(tmp_path / name / "runs.csv")
+    for free, walled in tables:
+        assert (free["map"], free["contacts"], free["reason"]) == ("", "", "")
+        assert walled["contacts"] == "0" and walled["reason"].startswith("the goal: no way")
+    assert [row["map"] for _, row in tables] == ["../../room.yaml", "../../../room.yaml"]
+    orders = [scenarios[:1], scenarios, scenarios[::-1]]
+    assert len({fingerprint(conditions, order).get("map") for order in orders}) == 3
 
 
 def test_drawn_places_are_uniform_over_what_is_clear() -> None:

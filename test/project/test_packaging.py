@@ -116,7 +116,7 @@ def test_colcon_installs_executables_and_shared_files(
     run(COLCON, *logs, "build", *bases, *option, cwd=tree, env=environment)
     # A linked installation has it in the source tree.
     built = tree if option else workspace / "install"
-    assert list(built.rglob("solver.so"))
+    assert list(built.rglob("solver.so")) and list(built.rglob("point-v1/scenarios.csv"))
     prefix = workspace / "install" / "sphere_nmpc"
     for name in ("sphere_nmpc", *cli.VERBS):
         assert os.access(prefix / "lib" / "sphere_nmpc" / name, os.X_OK)

@@ -78,7 +78,9 @@ SECTIONS = {
 """Sections of the pages of the API, by heading."""
 
 
-@pytest.mark.parametrize(("package", "name"), NAMES)
+@pytest.mark.parametrize(("package", "name"), [
+    pytest.param(*one, marks=pytest.mark.slow if one[1] == "score" else ()) for one in NAMES
+])
 def test_public_name_has_an_example_that_prints_what_its_page_shows(
     package, name, tmp_path, monkeypatch
 ) -> None:

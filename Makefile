@@ -6,6 +6,8 @@ ARGS ?=
 # The oldest and the newest installed Python, for `make homes`.
 HOMES ?= $(PYTHON)
 VENV := .venv
+# What the demo needs is a third of all; where all is installed, that is used.
+DEMO_VENV := $(if $(wildcard $(VENV)/.stamp),$(VENV),.venv-demo)
 COLCON_VENV := .venv-colcon
 DOCS_VENV := .venv-docs
 # Tests of running nodes mostly wait, hence more processes than a small machine has cores. Tests of
@@ -25,8 +27,11 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## List the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
 
-demo: $(VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2"); first installs 1.3 GB in 2 minutes
-	$(VENV)/bin/sphere_nmpc demo $(ARGS)
+demo: $(DEMO_VENV)/.stamp  ## Run the paper's case study (ARGS="--case 2"); first installs 0.5 GB in a minute
+	$(DEMO_VENV)/bin/sphere_nmpc demo $(ARGS)
+	@echo "next: . $(DEMO_VENV)/bin/activate, and then that command, or sphere_nmpc --help"
+	@[ $(DEMO_VENV) = $(VENV) ] || \
+		echo "maps, the plant with contact, identify and benchmark need the rest, 350 MB: make venv"
 
 test: check $(COLCON_VENV)/.stamp  ## Lint, type check and run every test, in about 6 minutes (ARGS="-k name")
 	@echo "all tests take about six minutes on two idle cores, longer on busy ones"
@@ -68,7 +73,7 @@ docs: $(DOCS_VENV)/.stamp  ## Build the documents as pages in build/pages; a bro
 	$(DOCS_VENV)/bin/sphinx-build -W --keep-going -c docs . build/pages
 
 clean:  ## Remove the virtual environments and all that was built
-	rm -rf $(VENV) $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels $(DOCS_VENV) .pixi build dist install log *.egg-info \
+	rm -rf $(VENV) .venv-demo $(COLCON_VENV) .venv-homes .venv-newest .venv-wheels $(DOCS_VENV) .pixi build dist install log *.egg-info \
 		examples/build examples/*.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache sphere_nmpc/solver/native/*.so
 
@@ -83,13 +88,20 @@ define new_venv
 $(PYTHON) -m venv $(@D)
 endef
 
+$(VENV)/.stamp: PINS := requirements/lock.txt
+$(VENV)/.stamp: WHAT := ROS 2, CasADi, SciPy, MuJoCo, viser, test tools ...
+$(VENV)/.stamp: COST := 350 MB to download, 1.3 GB on disk, a minute and the download
+.venv-demo/.stamp: PINS := requirements/demo.txt
+.venv-demo/.stamp: WHAT := ROS 2, NumPy, Matplotlib, viser ..., what the demo needs
+.venv-demo/.stamp: COST := 100 MB to download, 0.5 GB on disk, half a minute and the download
+
 # The last ones are what the solver is compiled from.
-$(VENV)/.stamp: setup.py package.xml requirements/lock.txt \
+$(VENV)/.stamp .venv-demo/.stamp: setup.py package.xml $(wildcard requirements/*.txt) \
 		$(wildcard sphere_nmpc/solver/native/*.[ch] sphere_nmpc/solver/native/*.inc)
 	$(new_venv)
-	@echo "$(@D), 1 of 2: ROS 2, CasADi, SciPy, MuJoCo, viser, test tools ..., once:"
-	@echo "  350 MB to download, 1.3 GB on disk, a minute and the download"
-	$(PIP) --use-pep517 -r requirements/lock.txt
+	@echo "$(@D), 1 of 2: $(WHAT), once:"
+	@echo "  $(COST)"
+	$(PIP) --use-pep517 -r $(PINS)
 	@echo "$(@D), 2 of 2: this package, whose solver is compiled: half a minute"
 	$(PIP) --no-build-isolation -e .
 	@touch $@

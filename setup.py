@@ -34,10 +34,12 @@ used; its minor versions below 1.0 change interfaces, as 0.11 did those of the r
 SCIPY = "scipy>=1.11,<2"
 MAPS = ["pyyaml>=5.4", "pillow>=9", SCIPY]
 """To read map files, and for distances on maps."""
-ROS = ("ros-jazzy-rclpy[fastrtps]>=7.1,<8", "ros-jazzy-common-interfaces>=5.3,<6")
+# There are no wheels of ROS for other machines: there it comes from an installation of ROS.
+ROS = "ros-{0}-rclpy[fastrtps]{1}; platform_machine == 'x86_64'", (
+    "ros-{0}-common-interfaces{2}; platform_machine == 'x86_64'"
+)
 EXTRAS = {
-    # There are no wheels of ROS for other machines: there it comes from an installation of ROS.
-    "ros": [*(f"{wheel}; platform_machine == 'x86_64'" for wheel in ROS), *MAPS],
+    "ros": [*(wheel.format("jazzy", ">=7.1,<8", ">=5.3,<6") for wheel in ROS), *MAPS],
     "record": [*READING, "mcap-ros2-support>=0.5,<1"],
     "sim": ["rich>=13", "matplotlib>=3.8,<4", *MAPS],
     "study": ["dask>=2024.8", "distributed>=2024.8"],
@@ -49,7 +51,7 @@ EXTRAS = {
     # launch_testing's pytest plugin breaks under pytest 9.
     "test": [
         "pytest>=7.4,<9", "pytest-xdist>=3.3", "hypothesis>=6.100", "ruff>=0.9", "mypy>=1.14",
-        "packaging",
+        "packaging", "gymnasium>=1.0,<2",
     ],
 }
 
@@ -174,7 +176,10 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sphere_sim", "sphere_sim.*"]),
-    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.csv", "*.xml"]},
+    package_data={
+        "": ["py.typed", "*.pyi", "*.css", "*.html", "*.js", "*.csv", "*.xml"],
+        "sphere_sim": ["suites/*/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -185,6 +190,10 @@ setup(
         *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in SHARED),
     ],
     install_requires=["numpy>=1.26,<3"],
-    extras_require={**EXTRAS, "all": sorted({r for rs in EXTRAS.values() for r in rs})},
+    extras_require={
+        **EXTRAS, "all": sorted({r for rs in EXTRAS.values() for r in rs}),
+        # In the place of `ros`.
+        "ros-kilted": [*(wheel.format("kilted", ">=9.1,<10", ">=5.5,<6") for wheel in ROS), *MAPS],
+    },
     entry_points={"console_scripts": [f"{NAME} = sphere_sim.cli.main:main"]},
 )

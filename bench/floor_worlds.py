@@ -25,10 +25,10 @@ from worlds import KINDS, SPEED, draw_task, draw_world, integrated, longest_run
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.state import POSITION
 from sphere_nmpc.reporting.conditions import Kind
-from sphere_sim.evaluation.metrics import state_errors, stay_below
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.record import finite
 from sphere_sim.study.single_run import closed_loop, prepare
 from sphere_sim.world.walls import walls_of
 
@@ -60,12 +60,11 @@ def run(conditions: StudyConditions, kind: str, seed: int, gap: float | None) ->
         own = integrated(start, times, speeds, robot.lumped)
         apart = float(np.linalg.norm(own - found.states[:moving, POSITION], axis=1).max())
         least = min(least, float(world.distances(own).min()) - robot.shell_radius)
-    stay = stay_below(found.times, state_errors(found.states, goal), 1e-2)
-    settled = None if stay is None else float(stay.since)
+    settled = finite(found.settled_after)
     first = [d.plan.made.solve_time for d in found.decisions if d.mode is Kind.TRACKING][:1]
     return {
         "kind": kind, "seed": seed, "gap": world.gap, "length": length, "settled": settled,
-        "beyond": None if settled is None else settled - length / SPEED,
+        "beyond": finite(found.settled_after - length / SPEED),
         "least_clearance": least, "contacts": max(simulator.touches, int(least < 0.0)),
         "apart": apart, "failures": controller.failures, "plans": controller.plans,
         "first_plan": first[0] if first else None,

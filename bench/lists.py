@@ -28,7 +28,7 @@ from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector, position_error
-from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors, stay_below
+from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
 from sphere_sim.scenario.scenarios import Scenario, anywhere
 from sphere_sim.study.record import finite
 from sphere_sim.study.single_run import closed_loop, prepare
@@ -93,9 +93,8 @@ def run(
         controller.floor = floor
     found = closed_loop(conditions, scenario, made, Course.of(*map(Goal, poses[1:])), _STEP)
     visited = visits(found.times, found.states, poses[1:])
-    stay = stay_below(found.times, state_errors(found.states, poses[-1]))
-    reached = stay is not None and len(visited) == len(poses) - 1
-    settled = stay.since if stay is not None and reached else np.inf
+    reached = len(visited) == len(poses) - 1 and np.isfinite(found.settled_after)
+    settled = found.settled_after if reached else np.inf
     return settled, visited, simulator.touches
 
 

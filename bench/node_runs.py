@@ -26,7 +26,7 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.ros.session.domain import own_domain
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.process_set import ProcessSet, parameter_options

@@ -144,9 +144,7 @@ def fixes(options: argparse.Namespace) -> dict[str, Any]:
             controller.set_goal(goal)
         return found
 
-    run_closed_loop(
-        simulator, controller, goal, duration, conditions.controller.control_period, poses=observe
-    )
+    run_closed_loop(simulator, controller, goal, duration, poses=observe)
     names = ("position_mm", "heading_deg", "tilt_deg")
     found = sizes(np.array(errors))
     return {"goals_reached": int(reached), "fixes_used": poses.odometry.fixes_used,

@@ -21,7 +21,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error, error_between
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import Scenario, draw_scenarios

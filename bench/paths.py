@@ -35,7 +35,7 @@ from sphere_nmpc.model.path import Path as Curve
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector, make_state
 from sphere_sim.evaluation.closed_loop import Trajectory
-from sphere_sim.evaluation.metrics import deviations, errors_to, measure_along, stay_below
+from sphere_sim.evaluation.metrics import deviations, measure_along
 from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import GivenPath, Scenario
 from sphere_sim.study.conditions import StudyConditions
@@ -129,9 +129,7 @@ def measured(
     if kind == "places":
         stops = (Goal(make_state(place, path.end[2:]), Orientation.ANY) for place in nodes[1:])
         listed = closed_loop(conditions, scenario, None, Course.of(*stops), _STEP)
-        errors = errors_to(Goal(path.end, Orientation.ANY), listed.states)[:, 0]
-        stay = stay_below(listed.times, errors)
-        reference = np.nan if stay is None else stay.since
+        reference = listed.settled_after
     upright = np.sum(found.states[:, 3:5] ** 2, axis=1) < 0.5  # on one side of the circle Gamma
     return {
         "kind": kind, "number": number, "length": exact.length, "rms": finite(rms),

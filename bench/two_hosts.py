@@ -35,6 +35,7 @@ from machine import write_json
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import Vector
+from sphere_nmpc.ros.network import profiles_variable
 from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.process_set import ProcessSet
 from sphere_sim.ros.session.serving import serve_until
@@ -119,7 +120,7 @@ def _over(quality: Quality | None, given: argparse.Namespace) -> dict[str, objec
             **DISCOVERY[given.discovery],
         }
         if given.profiles:
-            environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(given.profiles.resolve())
+            environment[profiles_variable()] = str(given.profiles.resolve())
         own = ["--goals", str(given.goals), "--starts", str(given.starts),
                "--seed", str(given.seed), "--strategy", given.strategy, "--inside", there]
 

@@ -137,7 +137,7 @@ def walk_loop(counts: bool, worker: LateWorker | None = None) -> dict[str, list[
         SimulatorSettings(initial_state=tuple(_START)), robot, make_plant("rolling", robot, _START)
     )
     settings = ControllerSettings(strategy="time_optimal", control_rate=1.0 / _PERIOD)
-    run_closed_loop(simulator, Walked(settings, robot, worker=worker), _GOAL, _DURATION, _PERIOD)
+    run_closed_loop(simulator, Walked(settings, robot, worker=worker), _GOAL, _DURATION)
     return meter.walks
 
 

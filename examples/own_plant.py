@@ -11,28 +11,20 @@ installed package brings it to the simulator node, launch file and studies by an
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.rotation import matrix
-from sphere_nmpc.model.state import QUATERNION, Vector, make_state, state_error
-from sphere_nmpc.quantity import quantity, validate
-from sphere_nmpc.settings import ControllerSettings
-from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.contract import PlantSettings
-from sphere_sim.world.walls import Contact, Walls
+from sphere_nmpc import Controller, Goal, RobotParameters, quantity
+from sphere_sim import Plant, PlantSettings, Simulator, run_closed_loop
 
-START = make_state((2.0, -3.0), (0.6, 0.8, 0.0, 0.0))
-GOAL = make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+Vector = NDArray[np.float64]
+START = np.array((2.0, -3.0, 0.6, 0.8, 0.0, 0.0))
 """Position [m] and unit quaternion wxyz, body to world."""
-SETTLED = 0.01
-"""Error in R^6 below which the sphere has settled."""
 STEP = 2e-3
-"""Longest step of the integration, and here that between two commands [s]."""
+"""Longest step of the integration [s]."""
 
 
 @dataclass(frozen=True)
@@ -43,61 +35,46 @@ class LaggingSettings(PlantSettings):
         0.02, "s", "Lag of the rotors behind their commands", minimum=1e-3, maximum=0.1
     )
 
-    def __post_init__(self) -> None:
-        validate(self)
 
-
-class Lagging:
-    """Rolling sphere whose rotors follow their commands with a lag, integrated by midpoints.
-
-    The methods and quantities are those of `sphere_sim.world.plant.contract.Plant`.
-    """
+class Lagging(Plant):
+    """Rolling sphere whose rotors follow their commands with a lag, integrated by midpoints."""
 
     Settings = LaggingSettings
+    state: Vector = np.zeros(6)
+    momentum: Vector = np.zeros(3)
+    rotor_angles: Vector = np.zeros(2)
+    rotor_speeds: Vector = np.zeros(2)
+    rotor_torques: Vector = np.zeros(2)
 
     def __init__(
-        self, robot: RobotParameters, state: Vector, disturbances: DisturbanceSettings,
-        walls: Walls | None, settings: LaggingSettings,
+        self, robot: RobotParameters, state: Vector, settings: LaggingSettings | None = None,
+        **given: Any,
     ) -> None:
-        if any(disturbances.mass_offset):
-            raise InvalidParameterError("mass_offset", disturbances.mass_offset, "0: balanced")
-        if disturbances.rolling_friction or disturbances.torsional_friction:
-            raise InvalidParameterError("friction", "one against rolling", "none")
+        super().__init__(robot, **given)
+        settings, refused = settings or LaggingSettings(), self.disturbances
+        if any(refused.mass_offset) or refused.rolling_friction or refused.torsional_friction:
+            raise ValueError(f"given {refused}, expected a balanced sphere without friction")
         self._lag, self._rotor = settings.lag, robot.rotor_axial_inertia
         self._radius, self._mass = robot.shell_radius, robot.total_mass
         transverse, axial = robot.transverse_inertia, robot.axial_inertia
         self._rolling = robot.rolling_inertia
         self._inertia = np.diag([transverse, transverse, axial]) + self._rolling * np.eye(3)
-        self.gravity: Vector = np.array(disturbances.gravity)
-        self.contact = Contact(walls, self._radius)
         self.reset(state)
 
     def reset(self, state: Vector) -> None:
         """Put the sphere at rest."""
-        self.state: Vector = state
-        self.momentum: Vector = np.zeros(3)
-        self.rotor_angles: Vector = np.zeros(2)
-        self.rotor_speeds: Vector = np.zeros(2)
-        self.rotor_torques: Vector = np.zeros(2)
+        self.state, self.momentum = state, np.zeros(3)
+        self.rotor_angles = self.rotor_speeds = self.rotor_torques = np.zeros(2)
         self._reference: Vector = np.zeros(2)
 
     def displace(self, state: Vector) -> None:
         """Put the sphere elsewhere, keeping rotors and momentum."""
         self.state = state
 
-    def surround(self, walls: Walls | None) -> None:
-        """Replace the walls."""
-        self.contact.surround(walls)
-
     def push(self, impulse: ArrayLike) -> None:
         """Apply an impulse at the centre, which is above the contact point by the radius."""
         horizontal = np.append(np.asarray(impulse, dtype=float), 0.0)
         self.momentum = self.momentum + np.cross([0.0, 0.0, self._radius], horizontal)
-
-    def tilt(self, slope: float, direction: float) -> None:
-        """Incline the floor."""
-        floor = DisturbanceSettings(slope=slope, slope_direction=direction)
-        self.gravity = np.array(floor.gravity)
 
     def advance(self, speeds_end: Vector, duration: float) -> None:
         """Simulate a step in short ones, with the rotors on their way to the reference."""
@@ -117,7 +94,7 @@ class Lagging:
         self.momentum = self.momentum + step * torque
         self.state = before + 0.5 * step * self._rate()
         after = before + step * self._rate()
-        after[QUATERNION] /= np.linalg.norm(after[QUATERNION])
+        after[2:] /= np.linalg.norm(after[2:])
         # A step that leads into a wall is not made.
         into_wall = self.contact.is_into_wall(before[:2].tolist(), after[:2].tolist())
         self.state = before if into_wall else after
@@ -126,7 +103,7 @@ class Lagging:
 
     def _rate(self) -> Vector:
         """Return the rate of the state."""
-        w, x, y, z = self.state[QUATERNION]
+        w, x, y, z = self.state[2:]
         a, b, c = self.body_rate
         quaternion_rate = 0.5 * np.array([
             -x * a - y * b - z * c, w * a + y * c - z * b, w * b + z * a - x * c,
@@ -135,9 +112,14 @@ class Lagging:
         return np.concatenate((self.velocity[:2], quaternion_rate))
 
     @property
+    def _turn(self) -> Vector:
+        """Rotation from body to world."""
+        return np.array(Rotation.from_quat(np.roll(self.state[2:], -1)).as_matrix())
+
+    @property
     def body_rate(self) -> Vector:
         """Angular velocity [rad/s; body frame], from the momentum about the contact point."""
-        turn = matrix(self.state[QUATERNION])
+        turn = self._turn
         vertical = turn[2]  # in the body frame
         inertia = self._inertia - self._rolling * np.outer(vertical, vertical)
         spin = self._rotor * np.append(self.rotor_speeds, 0.0)
@@ -146,32 +128,19 @@ class Lagging:
     @property
     def velocity(self) -> Vector:
         """Velocity of the centre [m/s; world frame]."""
-        world_rate = matrix(self.state[QUATERNION]) @ self.body_rate
+        world_rate = self._turn @ self.body_rate
         return self._radius * np.array([world_rate[1], -world_rate[0], 0.0])
 
 
 def main() -> None:
     """Roll to the goal and print the error each second."""
     told, true = RobotParameters(), RobotParameters(shell_mass=1.1)
-    plant = Lagging(true, START, DisturbanceSettings(), None, LaggingSettings())
-    settings = ControllerSettings()
-    controller = Controller(settings, told)
-    controller.set_goal(GOAL)
-    steps = round(settings.control_period / STEP)  # between two sampling instants
-    command, settled_at = None, 0.0
-    for k in range(round(10.0 / STEP) + 1):
-        now = k * STEP
-        error = state_error(plant.state, GOAL)
-        settled_at = now if error > SETTLED else settled_at
-        if k % round(1.0 / STEP) == 0:
-            print(f"{now:4.0f} s   error {error:.4f}")
-        if k % steps == 0:
-            controller.observe(now, plant.state)
-            decision = controller.decide(now)
-            # None where there is nothing to send: the command before ends at rest.
-            command = controller.commit(decision, now) or command
-        plant.advance(np.zeros(2) if command is None else command.at(now + STEP), STEP)
-    print(f"settled after {settled_at:.2f} s; {decision.mode.value}")
+    controller = Controller(robot=told)
+    simulator = Simulator(robot=true, plant=Lagging(true, START))
+    run = run_closed_loop(simulator, controller, Goal.upright(0.0, 0.0, 0.0), 10.0)
+    for time, error in zip(run.times[::100], run.errors[::100], strict=True):
+        print(f"{time:4.0f} s   error {error:.4f}")
+    print(f"settled after {run.settled_after:.2f} s; {run.decisions[-1].mode.value}")
     learnt = controller.estimator.plant
     gains = learnt.constants.input_gain, true.lumped.input_gain, told.lumped.input_gain
     print("learnt: lag {:.0f} ms, c1 {:.5f} (true {:.5f}, told {:.5f})".format(

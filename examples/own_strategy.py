@@ -9,21 +9,24 @@ does.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sphere_nmpc.control.controller import Controller
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal, Orientation
-from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector, make_state
-from sphere_nmpc.settings import STRATEGIES, ControllerSettings, StrategyEntry
-from sphere_nmpc.solver.roll_out import roll_out
-from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
-from sphere_sim.evaluation.closed_loop import run_closed_loop
-from sphere_sim.world.settings import SimulatorSettings
-from sphere_sim.world.simulator import Simulator
+from sphere_nmpc import (
+    Controller,
+    ControllerSettings,
+    FirstOrderHold,
+    Goal,
+    Plan,
+    RobotParameters,
+    Situation,
+    roll_out,
+)
+from sphere_sim import Simulator, run_closed_loop
 
+Vector = NDArray[np.float64]
+POSITION = slice(0, 2)
+"""Of a state x, y [m], quaternion wxyz [-], momentum [rad/s]."""
 KNOTS = 8
 """Rotor speeds that are planned ahead, a sample period apart."""
 TERMINAL_WEIGHT, INPUT_WEIGHT = 10.0, 0.1
@@ -76,23 +79,17 @@ class RollTo:
         found = least_squares(residuals, inside, bounds=(-1.0, 1.0), max_nfev=EVALUATIONS)
         self._last = FirstOrderHold(times, speeds(found.x))
         # The loop limits the accelerations, ends the plan at rest, and certifies it on a map.
-        made = Made(cost=found.cost)
-        return Plan(PlanStatus.SOLVED, self._last, states(found.x), made=made)
+        return Plan.found(self._last, states(found.x), found.success, cost=found.cost)
 
 
 def main() -> None:
     """Run the paper's first case to its position, and print how it went."""
-    STRATEGIES["roll_to"] = StrategyEntry(f"{__name__}:RollTo")
-    goal = Goal(make_state((0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), Orientation.ANY)
-    robot = RobotParameters()
-    for strategy in ("roll_to", "time_optimal"):
-        settings = ControllerSettings(strategy=strategy)
-        simulator = Simulator(SimulatorSettings(), robot)
-        controller = Controller(settings, robot)
-        run = run_closed_loop(simulator, controller, goal, 10.0, settings.control_period)
-        away = np.linalg.norm(run.states[:, POSITION], axis=1)
-        arrived = run.times[1:][away[:-1] > 0.01][-1]
-        print(f"{strategy:12}  within 1 cm after {arrived:.2f} s, {away[-1]:.0e} m off at the end")
+    settings, robot = ControllerSettings(), RobotParameters()
+    for name, strategy in (("roll_to", RollTo(settings, robot)), ("time_optimal", None)):
+        controller = Controller(settings, robot, strategy)
+        run = run_closed_loop(Simulator(), controller, Goal.position(0.0, 0.0), 10.0)
+        print(f"{name:12}  within 1 cm after {run.settled_after:.2f} s, "
+              f"{run.errors[-1]:.0e} m off at the end")
 
 
 if __name__ == "__main__":

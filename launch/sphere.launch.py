@@ -43,7 +43,7 @@ from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.foreign.file import InvalidFileError, find_file
 from sphere_nmpc.model.state import upright_state
 from sphere_nmpc.process.child import module_command
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import STRATEGIES
 from sphere_sim.output.round_numbers import grid_cell
@@ -60,6 +60,7 @@ RECORDED = (
     "pose", "odom", "joint_states", "rotor_trajectory", "rotor_commands", "control_period",
     "controller/active_goal", "controller/at_goal", "controller/eta", "controller/floor",
     "controller/path", "controller/predicted_path", "controller/status", "simulator/pushed",
+    "robot_description",
 )
 """Topics, without goal_pose, goal_point, goals, path, map, keepout, simulator/push: `ros2 topic
 pub --once` ends after the first matched subscription, which has to be the one that is meant. The
@@ -69,7 +70,7 @@ OF_ODOMETRY = (
     "imu", "pose_fix", "odometry/status", "ground_truth/pose", "ground_truth/odom",
 )
 """Recorded as well with an odometry node, with which the IMU is read in any case."""
-ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events")
+ABSOLUTE = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
 TRUE = ("true", "True", "1")
 BOOLEAN = ["true", "false", "True", "False", "1", "0"]
 OF_LAUNCH = (
@@ -158,7 +159,8 @@ def actions(context: LaunchContext) -> list:
     simulator |= {"pose_source": "odometry"} if has_odometry else {}
     for argument, wanted, package in (("rviz", shown, "rviz2"), ("navigator", navigator, ACTIONS)):
         if wanted and not is_installed(package):
-            remedy = f"apt install ros-jazzy-{package.replace('_', '-')}"
+            distribution = os.environ.get("ROS_DISTRO", "jazzy")
+            remedy = f"apt install ros-{distribution}-{package.replace('_', '-')}"
             raise RuntimeError(f"{argument}:=true: '{package}' is not installed; {remedy}")
     refuse_other_nodes(place, value["clock"])
     common = {"namespace": f"/{place}", "output": "screen"}

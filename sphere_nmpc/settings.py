@@ -10,7 +10,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign.entry_table import Entry, EntryTable
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP, TABLE_1_UNITS, RobotUnits
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 
 @dataclass(frozen=True)

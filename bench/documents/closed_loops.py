@@ -27,14 +27,12 @@ from sphere_nmpc.model.disturbance import momentum_of_push, rest_speeds, time_to
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import QUATERNION, Vector
 from sphere_nmpc.model.units import RobotUnits
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.evaluation.metrics import (
     SETTLED_ERROR,
     angle_errors,
     position_errors,
-    state_errors,
-    stay_below,
 )
 from sphere_sim.scenario.perturbation import DisturbanceDraws, perturbed
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
@@ -142,10 +140,9 @@ def _of_floors(*_: int) -> Iterator[Row]:
 def _event(conditions: StudyConditions, scenario: Scenario) -> list[str]:
     """Return the cells of a run."""
     found = closed_loop(conditions, scenario)
-    stay = stay_below(found.times, state_errors(found.states, scenario.goal))
     tail = found.states[found.times > conditions.duration - _TAIL]
     errors = position_errors(tail, scenario.goal), np.degrees(angle_errors(tail, scenario.goal))
-    return ["no" if stay is None else f"{stay.since:.1f} s"] + [
+    return ["no" if np.isnan(found.settled_after) else f"{found.settled_after:.1f} s"] + [
         "{:.3f} m, {:.1f}°".format(*map(of, errors)) for of in (np.median, np.max)
     ]
 
@@ -330,7 +327,7 @@ def _stay(conditions: StudyConditions, scenario: Scenario) -> Stay:
     simulator.advance_to = record  # type: ignore[method-assign]
     made, duration = (simulator, controller), conditions.duration
     found = closed_loop(conditions, scenario, made, output_period=_OUTPUT)
-    small = state_errors(found.states, scenario.goal) < SETTLED_ERROR
+    small = found.errors < SETTLED_ERROR
     rows = round(_DWELL / _OUTPUT)
     first = next((i for i in range(small.size - rows) if small[i : i + rows].all()), None)
     if first is None:

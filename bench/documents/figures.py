@@ -46,7 +46,7 @@ from sphere_nmpc.model.rotation import exponential
 from sphere_nmpc.model.state import NO_MOMENTUM, QUATERNION, Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.evaluation.closed_loop import Trajectory
-from sphere_sim.evaluation.metrics import SETTLED_ERROR, state_errors
+from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.report.figures.style import (
     BLUE,
     COLOURS,
@@ -110,8 +110,7 @@ def draw_times(on_slope: Axes, out_of_balance: Axes) -> None:
 
 def draw_run(found: Trajectory, error: Axes, speed: Axes, name: str) -> None:
     """Draw errors and rotor speeds of a run, with the speeds of rest by the estimated momentum."""
-    errors = state_errors(found.states, GOAL)
-    error.semilogy(found.times, np.maximum(errors, SMALLEST_ERROR), color=BLUE)
+    error.semilogy(found.times, np.maximum(found.errors, SMALLEST_ERROR), color=BLUE)
     error.axhline(SETTLED_ERROR, color=GREY, linestyle=":", label="settled below")
     error.set_title(f"{name}: error")
     error.set_ylabel(r"$\|x - x_d\|$ [m, -]")

@@ -16,7 +16,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.floor.settings import FloorSettings, OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import Quantity, quantities
+from sphere_nmpc.quantities import Quantity, quantities
 from sphere_nmpc.ros.settings import (
     ControllerNodeSettings,
     FrameSettings,

@@ -25,7 +25,6 @@ from sphere_nmpc.model.state import Vector, without_momentum
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
-from sphere_sim.evaluation.metrics import errors_to, settling_index
 from sphere_sim.scenario.scenarios import PAPER_CASES, Scenario
 from sphere_sim.study.best_known import BestKnownTimes, best_known_times
 from sphere_sim.study.conditions import StudyConditions
@@ -108,8 +107,7 @@ def _settling(
     """Return the settling time [s], also over the best known one, and errors of arrivals [s]."""
     goal = Goal(scenario.goal, kind)
     found = closed_loop(_CONDITIONS, scenario, goal=goal)
-    index = settling_index(errors_to(goal, found.states)[:, 0])
-    settled = np.inf if index is None else float(found.times[index])
+    settled = float(np.nan_to_num(found.settled_after, nan=np.inf))
     plans = [one.plan for one in found.decisions if one.mode is Kind.TRACKING]
     arrivals = [plan.arrival - settled for plan in plans if np.isfinite(plan.arrival)]
     return settled, settled / known, arrivals

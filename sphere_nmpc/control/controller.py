@@ -4,6 +4,7 @@
 
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.course_following import CourseFollowing
@@ -51,10 +52,10 @@ class Controller:
 
     Parameters
     ----------
-    settings : ControllerSettings
+    settings : ControllerSettings, optional
         Strategy, estimation, and limits such as the age of a pose.
-    robot : RobotParameters
-        Robot as built, and the limits of its drives.
+    robot : RobotParameters, optional
+        Robot as built, and the limits of its drives; defaults to that of Table 1.
     strategy : Strategy, optional
         Defaults to the one named in `settings`.
     worker : Worker, optional
@@ -63,11 +64,12 @@ class Controller:
     """
 
     def __init__(
-        self, settings: ControllerSettings, robot: RobotParameters,
+        self, settings: ControllerSettings | None = None, robot: RobotParameters | None = None,
         strategy: Strategy | None = None, worker: Worker | None = None,
     ) -> None:
         library()  # it is loaded, or its absence reported, here and not at the first instant
-        self._settings = settings = settings.of(robot)
+        robot = robot or RobotParameters()
+        self._settings = settings = (settings or ControllerSettings()).of(robot)
         robot = self._robot = within_torque(robot)
         self.failures = 0
         """Errors since the start in the processing of poses, estimates, plans and commands."""
@@ -100,6 +102,11 @@ class Controller:
         self.plans = 0
         """Motions planned since the start that are not what is left of the one before."""
         self._followed = 0
+
+    @property
+    def period(self) -> float:
+        """Time between two sampling instants [s]."""
+        return self._settings.control_period
 
     @property
     def enabled(self) -> bool:
@@ -144,7 +151,7 @@ class Controller:
         active = self.following.course.active
         return None if active is None else active.goal.pose.copy()
 
-    def set_goal(self, goal: Vector | Goal | Course) -> bool:
+    def set_goal(self, goal: ArrayLike | Goal | Course) -> bool:
         """Track one goal, or a goal state, shape (6,), with all of its orientation, or a course.
 
         Raises
@@ -152,9 +159,8 @@ class Controller:
         InvalidStateError
             If it is not a finite state with a unit quaternion; the old goal then stays in force.
         """
-        if not isinstance(goal, Course):
-            goal = Course.of(goal if isinstance(goal, Goal) else Goal(as_state(goal)))
-        return self.following.take(ActiveCourse(goal))
+        course = goal if isinstance(goal, Course) else Course.of(goal)
+        return self.following.take(ActiveCourse(course))
 
     def cancel(self) -> bool:
         """Give up the goals, so that the sphere stops on its path; False if there was none."""

@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Any
 
 from sphere_nmpc.control.goal_report import OF_THE_WAY, GoalReport, Patience
-from sphere_nmpc.quantity import quantity, stamp_text, validate
+from sphere_nmpc.quantities import quantity, stamp_text, validate
 
 _RETRY_TIME = 1.0
 """Time [s] after which a goal that no status shows, or a request to cancel, is sent again; the
@@ -68,12 +68,16 @@ class Missed:
 
 @dataclass(frozen=True)
 class Ending:
-    """End of a goal, with the reason in a line and the stages that were missed."""
+    """End of a goal, with the reason in a line, and which stages were missed.
+
+    `passed` is the number of goals that were passed of the last stage that a status has shown.
+    """
 
     goal: Hashable
     outcome: Outcome
     reason: str
     missed: tuple[Missed, ...] = ()
+    passed: int = 0
 
 
 @dataclass(frozen=True)
@@ -338,7 +342,8 @@ class GoalClient:
         pursuit, self.pursuit = self.pursuit, None
         if pursuit is not None:
             self._keep(pursuit)
-            self._ended.append(Ending(pursuit.goal, outcome, reason, pursuit.missed))
+            passed = 0 if pursuit.newest is None else pursuit.newest.index
+            self._ended.append(Ending(pursuit.goal, outcome, reason, pursuit.missed, passed))
 
     def _keep(self, pursuit: Pursuit) -> None:
         """Keep the stamp of a stage that is over."""

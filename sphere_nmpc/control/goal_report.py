@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sphere_nmpc.errors import InvalidInputError
-from sphere_nmpc.quantity import known
+from sphere_nmpc.quantities import known
 from sphere_nmpc.reporting.conditions import Kind
 
 _PURSUED = {mode.value for mode in (Kind.TRACKING, Kind.AT_GOAL, Kind.NO_GOAL)}

@@ -42,7 +42,11 @@ def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strateg
         return replace(plan, hold=own.hold, states=own.states)
     if not plan.hold.speeds.any():
         return plan
-    clearance = clearance_of(situation, plan.hold, Margin.KEPT)
+    hold = plan.hold
+    # It is sent with a stop at its end. Rotors that turn there may hold a large momentum, at rest.
+    if hold.speeds[-1].any() and situation.has_small_momentum:
+        hold = hold.stop(hold.end, robot.max_rotor_acceleration)
+    clearance = clearance_of(situation, hold, Margin.KEPT)
     if not math.isnan(clearance):
         return replace(plan, clearance=clearance)
     stopped = stop(situation, robot, "not clear").giving_up(

@@ -14,7 +14,7 @@ import numpy as np
 from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.settings import ControllerSettings
 

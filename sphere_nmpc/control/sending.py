@@ -19,7 +19,7 @@ from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, STATE_SIZE, Vector
 from sphere_nmpc.model.torque import heat_and_energy, torques
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.clearance import Margin, clearance_of
@@ -196,4 +196,4 @@ def _unplanned(
     status: PlanStatus, hold: FirstOrderHold, state: Vector | None, message: str
 ) -> Plan:
     states = np.empty((0, STATE_SIZE)) if state is None else state[None, :]
-    return Plan(status, hold, states, conditions=(Condition(Kind.PLANNED, message),))
+    return Plan(hold, states, status, conditions=(Condition(Kind.PLANNED, message),))

@@ -22,7 +22,7 @@ from sphere_nmpc.model.disturbance import (
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Tracking
 from sphere_nmpc.model.state import POSE, QUATERNION, Vector
-from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.quantities import stamp_text
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 

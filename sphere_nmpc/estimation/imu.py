@@ -10,7 +10,7 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 GRAVITY_REMOVED = "gravity removed"
 _CONVENTIONS = (

@@ -1,7 +1,8 @@
 # Copyright 2026 sphere_nmpc contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Mounting of a sensor by its frame in a description of the robot (URDF)."""
+"""Frames in a description of the robot (URDF), and the mounting of a sensor by its frame."""
 
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,25 +12,40 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import Vector
 
 
-class FixedFrames:
-    """Frames that fixed joints join to a robot, by its description as URDF.
+class Joint(NamedTuple):
+    """Joint: place [m], shape (3,), turn as a quaternion wxyz, (4,), and axis in its parent link.
+
+    The axis, shape (3,), is zero for a fixed one.
+    """
+
+    name: str
+    parent: str
+    place: Vector
+    turn: Vector
+    axis: Vector
+
+
+class RobotFrames:
+    """Frames of a robot whose joints are fixed or turn, by its description as URDF.
 
     `InvalidParameterError` is raised for a description that cannot be read.
     """
 
     def __init__(self, description: str) -> None:
-        self._parents: dict[str, tuple[str, Vector, Vector]] = {}
+        self.joints: dict[str, Joint] = {}
+        """Joints by the frames that they join to a parent link."""
         try:
-            for joint in ElementTree.fromstring(description).iterfind("joint[@type='fixed']"):
-                origin = joint.find("origin")
-                given = {} if origin is None else origin.attrib
-                xyz, rpy = (
-                    np.array([float(word) for word in given.get(name, "0 0 0").split()]).reshape(3)
-                    for name in ("xyz", "rpy")
-                )
+            for joint in ElementTree.fromstring(description).iterfind("joint"):
+                kind = joint.get("type")
+                if kind not in ("fixed", "continuous", "revolute"):
+                    continue
                 parent, child = (joint.find(end).attrib["link"]  # type: ignore[union-attr]
                                  for end in ("parent", "child"))
-                self._parents[child] = parent, xyz, rpy
+                self.joints[child] = Joint(
+                    joint.get("name", ""), parent, _vector(joint, "origin", "xyz"),
+                    _turn(_vector(joint, "origin", "rpy")),
+                    np.zeros(3) if kind == "fixed" else _vector(joint, "axis", "xyz", "1 0 0"),
+                )
         except (ElementTree.ParseError, AttributeError, KeyError, ValueError) as error:
             raise InvalidParameterError(
                 "robot_description", description, f"a robot as URDF ({error})"
@@ -44,18 +60,23 @@ class FixedFrames:
         place: Vector = np.zeros(3)
         turn: Vector = np.array([1.0, 0.0, 0.0, 0.0])
         link = frame
-        left = dict(self._parents)
+        left = {child: joint for child, joint in self.joints.items() if not joint.axis.any()}
+        fixed = ", ".join(sorted(left)) or "none"
         while link != body:
             if link not in left:
-                fixed = ", ".join(sorted(self._parents)) or "none"
                 raise InvalidInputError(
                     "frame", frame, f"{body}, or a link that fixed joints of robot_description "
                     f"join to it; fixed links are {fixed}",
                 )
-            link, offset, angles = left.pop(link)  # each once: joints may lead in a circle
-            own = _turn(angles)
+            _, link, offset, own, _ = left.pop(link)  # each once: joints may lead in a circle
             place, turn = offset + rotation.matrix(own) @ place, rotation.product(own, turn)
         return place, turn
+
+
+def _vector(joint: ElementTree.Element, tag: str, name: str, default: str = "0 0 0") -> Vector:
+    element = joint.find(tag)
+    text = default if element is None else element.get(name, default)
+    return np.array([float(word) for word in text.split()]).reshape(3)
 
 
 def _turn(rpy: Vector) -> Vector:

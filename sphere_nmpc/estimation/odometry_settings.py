@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model.units import RobotUnits
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 
 @dataclass(frozen=True)

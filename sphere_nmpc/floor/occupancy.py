@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.model.state import FARTHEST, Vector
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 
 MOST_CELLS = 10**8
 """Cells of the largest map that is accepted."""

@@ -13,7 +13,7 @@ from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.map_file import read_map
 from sphere_nmpc.floor.occupancy import MOST_CORNERS, check_polygon
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 _LONGEST = 64 * MOST_CORNERS
 """Characters of an edge: two numbers of 20 digits and some space for each corner."""

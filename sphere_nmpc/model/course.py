@@ -10,9 +10,11 @@ from enum import Enum
 from functools import cached_property
 from operator import attrgetter
 
+from numpy.typing import ArrayLike
+
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.path import Path
-from sphere_nmpc.model.state import upright_state
+from sphere_nmpc.model.state import as_state, upright_state
 
 
 class LegEnd(Enum):
@@ -72,11 +74,16 @@ class Course:
     origin: object = field(default_factory=object, repr=False)
 
     @classmethod
-    def of(cls, *goals: Goal) -> "Course":
-        """Return a new course that comes to rest at each of the goals, which are frozen."""
-        for goal in goals:
+    def of(cls, *goals: Goal | ArrayLike) -> "Course":
+        """Return a new course that comes to rest at each of the goals, or poses, shape (6,).
+
+        Their arrays are frozen. `InvalidStateError` is raised if one is not a finite pose with a
+        unit quaternion.
+        """
+        found = [goal if isinstance(goal, Goal) else Goal(as_state(goal)) for goal in goals]
+        for goal in found:
             goal.pose.flags.writeable = goal.rate.flags.writeable = False
-        return cls(tuple(map(Leg, goals)))
+        return cls(tuple(map(Leg, found)))
 
     @classmethod
     def along(cls, *paths: Path, end: Goal | None = None) -> "Course":

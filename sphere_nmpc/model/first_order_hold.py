@@ -12,7 +12,7 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 SAME = 1e-9
 """Times [s] and speeds [rad/s] that differ by less are the same."""

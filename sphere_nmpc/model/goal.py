@@ -13,7 +13,7 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.error_state import apply_error
-from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector
+from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, upright_state
 
 STANDING: Vector = np.zeros(5)
 """Rate of a goal that does not move."""
@@ -131,6 +131,18 @@ class Goal:
     orientation: Orientation = Orientation.FULL
     rate: Vector = field(default_factory=lambda: STANDING)
     since: float = 0.0
+
+    @classmethod
+    def position(cls, x: float, y: float) -> "Goal":
+        """Return the goal of a place [m], with any orientation."""
+        return cls(upright_state(x, y), Orientation.ANY)
+
+    @classmethod
+    def upright(cls, x: float, y: float, heading: float | None = None) -> "Goal":
+        """Return the goal of an upright sphere at a place [m], with a heading [rad] or any."""
+        if heading is None:
+            return cls(upright_state(x, y), Orientation.ANY_HEADING)
+        return cls(upright_state(x, y, heading))
 
     def at(self, time: float) -> Vector:
         """Return the pose at a control time [s], shape (6,)."""

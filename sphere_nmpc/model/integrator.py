@@ -75,7 +75,8 @@ def steps_for(duration: float, max_step: float = DEFAULT_MAX_STEP) -> int:
 def step_function() -> ca.Function:
     """Return the CasADi function (x, u_start, u_end, h, p) -> x_end of one step.
 
-    x is a pose, shape (6,): this is the paper's model, without momentum and torques.
+    x is a pose, shape (6,): this is the paper's model, without momentum and torques. The rotor
+    speeds, shape (2,) [rad/s], ramp over h [s]; p has the lumped constants [Rs, c1, r1, r3].
     """
     x, (_, _, u_start, u_end, h, p, _) = ca.SX.sym("x", 6), _arguments().values()
     displacement, q_end, _ = cf4_step(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 _INERTIAS = "axial_inertia", "transverse_inertia", "inertia"
 _THIN_DISC_FACTOR = 1.5

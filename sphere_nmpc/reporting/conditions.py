@@ -32,7 +32,7 @@ Report = tuple[Severity, str, Mapping[str, Any]]
 class Condition(NamedTuple):
     """How one thing stands; its severity is that of its kind."""
 
-    kind: "Kind"
+    kind: "Kind"  #: Subject, which does not vary.
     text: str = ""
     """What was given, what was expected and what helps; it varies."""
     subject: str = ""

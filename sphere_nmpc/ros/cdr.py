@@ -26,7 +26,7 @@ from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.error_state import error_covariance
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector, make_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 JOINT_NAMES = ("rotor_1_joint", "rotor_2_joint")
 """Names of the rotors about body x and body y."""
@@ -67,6 +67,12 @@ class Pose(NamedTuple):
     def in_frame(self, frame: str) -> Vector:
         """Return the state, shape (6,); see `pose_in_frame`."""
         return pose_in_frame(self.numbers, self.frame, frame)
+
+
+class Text(NamedTuple):
+    """Text alone."""
+
+    text: str
 
 
 class UncertainPose(NamedTuple):
@@ -258,6 +264,7 @@ _HEADER = _TIME, _TEXT
 _STATUS = ("B", _TEXT, _TEXT, _TEXT, [(_TEXT, _TEXT)])
 _LAYOUTS: dict[Any, tuple[Any, ...]] = {
     Clock: (_TIME,),
+    Text: (_TEXT,),
     Pose: (*_HEADER, "7d"),
     UncertainPose: (*_HEADER, "43d"),
     Imu: (*_HEADER, "37d"),

@@ -3,14 +3,15 @@
 """Messages in their serialised form (CDR) of arrays and stamps, without ROS; see `cdr`."""
 
 import struct
-from functools import cache
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector, upright_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.cdr import BEGIN, JOINT_NAMES, LENGTH, PLAIN, STAMP, WORLD_FRAME, stamp_of
 
 
@@ -28,6 +29,19 @@ def pose_message(
     """
     x, y, qw, qx, qy, qz = state.tolist()
     return _stamped(stamp, frame, x, y, shell_radius, qx, qy, qz, qw)
+
+
+def transforms_message(
+    stamp: int, transforms: Sequence[tuple[str, str, Sequence[float]]]
+) -> bytes:
+    """Return the TFMessage of frames in their parents, at a stamp [ns].
+
+    Each has the frames of parent and child, x, y, z [m] and the quaternion xyzw.
+    """
+    message, time = PLAIN + LENGTH.pack(len(transforms)), STAMP.pack(*divmod(stamp, NANOSECONDS))
+    for parent, child, numbers in transforms:
+        message = _with_numbers(message + time + _text(parent, child), *numbers)
+    return message
 
 
 def imu_message(
@@ -95,11 +109,15 @@ def floor_message(grid: Grid | None, stamp: int, frame: str) -> bytes:
 
 def _stamped(stamp: int, frame: str, *numbers: float) -> bytes:
     """Return the message of a header and numbers in double precision."""
-    head = clock_message(stamp) + _text(frame)
+    return _with_numbers(clock_message(stamp) + _text(frame), *numbers)
+
+
+def _with_numbers(head: bytes, *numbers: float) -> bytes:
+    """Return the head of a message and aligned numbers in double precision."""
     return head + bytes((BEGIN - len(head)) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
 
 
-@cache
+@lru_cache
 def _text(*words: str) -> bytes:
     """Return strings as CDR has them: length, characters, a zero byte, and padding to four."""
     parts = [word.encode() + b"\x00" for word in words]

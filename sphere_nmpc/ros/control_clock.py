@@ -13,7 +13,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from sphere_nmpc.control.timing import MOST_AHEAD, ClockWatch
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.cdr import clock_stamp, seconds
 from sphere_nmpc.ros.guarded_node import GuardedNode
 

@@ -6,6 +6,7 @@ import re
 import traceback
 from collections.abc import Callable, Generator
 from concurrent.futures import Future
+from contextlib import ExitStack
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,9 @@ class GuardedNode(Node):
         # Before the node is made, as rclpy creates services with it.
         self._fault_log = FaultLog(lambda line: self.get_logger().warning(line))
         self._event_log = FaultLog(lambda line: self.get_logger().info(line), EVENTS_EVERY)
+        self.resources = ExitStack()
+        """What ends with the node; from Kilted on, rclpy also destroys one that has not been made
+        completely."""
         super().__init__(
             name, parameter_overrides=parameter_overrides,
             automatically_declare_parameters_from_overrides=True,
@@ -78,6 +82,11 @@ class GuardedNode(Node):
             if service.srv_type is GetTypeDescription:  # rclpy makes this one in another way
                 described = _for_valid_hash(service.callback)
                 service.callback = self._answering(service.srv_name, described)
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its resources."""
+        self.resources.close()
+        super().destroy_node()
 
     def create_subscription(
         self,

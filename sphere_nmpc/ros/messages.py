@@ -25,7 +25,7 @@ from sphere_nmpc.model.state import (
     make_state,
     upright_state,
 )
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.cdr import BODY_FRAME, WORLD_FRAME, stamp_of
 
 MOST_GOALS = 500

@@ -23,7 +23,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from mmap import PAGESIZE
 from pathlib import Path
 from xml.etree import ElementTree
@@ -38,14 +38,16 @@ NETWORK_TIMEOUT = 10.0
 _MIDDLEWARE, _LOG_FOLDER = "RMW_IMPLEMENTATION", "ROS_LOG_DIR"
 _STATIC_PEERS, _DISCOVERY_SERVER = "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
 _BUILTIN_TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Variables that name the XML profiles of Fast DDS, up to version 2 and from version 3 on."""
+_LOOPBACK_PROFILES = {
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("loopback.xml")),
+    "FASTDDS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("loopback_fast_dds_3.xml")),
+}
+"""Variables that name the XML profiles of Fast DDS up to version 2 (Jazzy) and from version 3 on
+(Kilted), which has other names of elements, each with those for the loopback interface only."""
 _TRANSPORT_VARIABLES = (
-    _STATIC_PEERS, _DISCOVERY_SERVER, _BUILTIN_TRANSPORTS, *_PROFILE_VARIABLES
+    _STATIC_PEERS, _DISCOVERY_SERVER, _BUILTIN_TRANSPORTS, *_LOOPBACK_PROFILES
 )
 """Variables with which users choose discovery or transports themselves."""
-_LOOPBACK_PROFILES = Path(__file__).with_name("loopback.xml")
-"""Profiles that restrict Fast DDS to the loopback interface."""
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 _HIGHEST_DOMAIN = 232
 """Largest domain id for which the port numbers of DDS are valid."""
@@ -88,7 +90,7 @@ def prepare_environment(environment: MutableMapping[str, str] = os.environ) -> l
 def check_environment(environment: Mapping[str, str] = os.environ) -> None:
     """Raise `RosEnvironmentError` if ROS cannot start with this environment."""
     domain_id(environment)
-    for name in _PROFILE_VARIABLES:
+    for name in _LOOPBACK_PROFILES:
         if path := environment.get(name):
             _check_profiles(name, path)
     for peer in environment.get(_STATIC_PEERS, "").split(";"):
@@ -122,10 +124,8 @@ def check_middleware(environment: Mapping[str, str] = os.environ) -> None:
     given = environment.get(_MIDDLEWARE)
     if not given:
         return
-    prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-    index = Path("share/ament_index/resource_index/rmw_typesupport")
-    folders = [folder for prefix in prefixes if (folder := Path(prefix) / index).is_dir()]
-    installed = {entry.name for folder in folders for entry in folder.iterdir()}
+    index = "share/ament_index/resource_index/rmw_typesupport/*"
+    installed = {entry.name for entry in _in_ros(index, environment)}
     installed.discard("rmw_implementation")  # only selects one of the others
     if installed and given not in installed:
         raise RosEnvironmentError(_MIDDLEWARE, given, " or ".join(sorted(installed)))
@@ -184,8 +184,14 @@ def use_loopback_only(environment: MutableMapping[str, str] = os.environ) -> Non
         return
     # ROS adds transports in every other discovery range too.
     environment[DISCOVERY_RANGE] = "SYSTEM_DEFAULT"
-    for name in _PROFILE_VARIABLES:
-        environment[name] = str(_LOOPBACK_PROFILES)
+    name = profiles_variable(environment)
+    environment[name] = _LOOPBACK_PROFILES[name]
+
+
+def profiles_variable(environment: Mapping[str, str] = os.environ) -> str:
+    """Return the variable from which the Fast DDS that is installed takes its profiles."""
+    old, new = _LOOPBACK_PROFILES
+    return new if any(_in_ros("lib/libfastdds.so", environment)) else old
 
 
 def apply_localhost_only(environment: MutableMapping[str, str] = os.environ) -> bool:
@@ -299,12 +305,19 @@ def _range(environment: Mapping[str, str]) -> str:
 
 def _uses_loopback_only(environment: Mapping[str, str]) -> bool:
     reach = environment.get(DISCOVERY_RANGE, "").upper()
-    return _profiles(environment) == str(_LOOPBACK_PROFILES) and reach == "SYSTEM_DEFAULT"
+    return _profiles(environment) in _LOOPBACK_PROFILES.values() and reach == "SYSTEM_DEFAULT"
 
 
 def _profiles(environment: Mapping[str, str]) -> str:
     """Return the path of the Fast DDS profiles in use; empty without any."""
-    return next(filter(None, map(environment.get, _PROFILE_VARIABLES)), "")
+    return next(filter(None, map(environment.get, _LOOPBACK_PROFILES)), "")
+
+
+def _in_ros(pattern: str, environment: Mapping[str, str]) -> Iterator[Path]:
+    """Yield the files of a pattern in the installations of ROS that the environment names."""
+    for prefix in filter(None, environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        yield from Path(prefix).glob(pattern)
+    yield from Path(sys.prefix).glob(pattern)
 
 
 def _check_profiles(name: str, path: str) -> None:

@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 
 from sphere_nmpc.errors import InvalidParameterError, reason_of, shown
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import Quantity, quantities
+from sphere_nmpc.quantities import Quantity, quantities
 
 S = TypeVar("S")
 

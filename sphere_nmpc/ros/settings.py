@@ -8,7 +8,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.state import DEFAULT_START
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.settings import ControllerSettings
 

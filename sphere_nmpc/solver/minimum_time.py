@@ -197,7 +197,7 @@ def minimise_time(
     # U (u / U) may differ from u in the last place: a bound is met exactly all the same.
     inputs[1:] = np.clip(inputs[1:], *bounds_of(problem))
     return Solution(
-        inputs, here.states, here.merit, status, iterations, residual,
+        inputs, here.states, problem.durations, here.merit, status, iterations, residual,
         time.perf_counter() - began, here.stretch,
     )
 

@@ -330,7 +330,8 @@ def minimise(
     inputs[1:] = np.clip(inputs[1:], *bounds)
     elapsed = time.perf_counter() - began
     return Solution(
-        inputs, here.motion.states, here.cost, status, iterations, residual, elapsed
+        inputs, here.motion.states, problem.durations, here.cost, status, iterations, residual,
+        elapsed,
     )
 
 

@@ -9,12 +9,15 @@ and strings that annotate an array are its shape, with N intervals.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector, without_momentum
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP
+
+_Kind = TypeVar("_Kind", bound="Shooting")
 
 
 def _always(*values: float) -> Callable[[], Vector]:
@@ -23,6 +26,8 @@ def _always(*values: float) -> Callable[[], Vector]:
     array.flags.writeable = False
     return lambda: array
 
+
+_STOPPED: Vector = _always(0.0, 0.0)()
 
 class End(IntEnum):
     """What the rotor speeds at the end of a plan are to be: those of rest, given ones, or any.
@@ -102,6 +107,26 @@ class Shooting:
     end: End = End.REST
     end_speeds: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
 
+    @classmethod
+    def of(
+        cls: type[_Kind], robot: RobotParameters, state: Vector, goal: Vector, durations: Vector,
+        input_in_force: Vector = _STOPPED, **others: Any,
+    ) -> _Kind:
+        """Return the problem of a robot as built, with the limits of its drives.
+
+        The state, shape (9,), has no momentum where it is a pose, shape (6,). `others` are further
+        fields.
+        """
+        limit = np.full((durations.size, INPUT_SIZE), robot.max_rotor_speed)
+        fields: dict[str, Any] = {
+            "state": without_momentum(state) if state.size == POSE_SIZE else state, "goal": goal,
+            "input_in_force": input_in_force, "durations": durations,
+            "constants": robot.lumped.as_array(), "lower": -limit, "upper": limit,
+            "input_scale": robot.max_rotor_speed,
+            "max_acceleration": robot.max_rotor_acceleration,
+        }
+        return cls(**fields | others)
+
     @property
     def intervals(self) -> int:
         """N, the number of intervals and of free knots."""
@@ -117,14 +142,14 @@ class Shooting:
 class LeastSquaresProblem(Shooting):
     """Problem of a given duration.
 
-    Minimise, for the knots,
+    Minimise, for the knots::
 
         |x_N - x_d|_s^2 + w_x sum_{m=1}^{N-1} |x_m - x_d|_s^2
             + w_u sum_{m=1}^{N} |(u_m - u_ref) / U|^2
             + sum_{m=1}^{N} |max(0, |u_m - u_{m-1}| - a h_m) / U|^2
 
-    with |.|_s the norm in which positions are multiplied by s, and quaternions by the largest of
-    the weights w_q. The paper's weights over beta: w_x = 1/beta, w_u = alpha U^2 / beta.
+    with ``|.|_s`` the norm in which positions are multiplied by s, and quaternions by the largest
+    of the weights w_q. The paper's weights over beta: w_x = 1/beta, w_u = alpha U^2 / beta.
 
     By default the end is free, as in the paper. Otherwise u_N is fixed, for the momentum that the
     torque of the slope alone leads to in the given time.
@@ -142,16 +167,34 @@ class LeastSquaresProblem(Shooting):
     input_weight: float
     input_reference: Annotated[Vector, 2] = field(default_factory=_always(0.0, 0.0))
 
+    @classmethod
+    def of_paper(
+        cls, robot: RobotParameters, state: Vector, goal: Vector, input_in_force: Vector,
+        horizon: int = 4, period: float = 0.5, alpha: float = 0.5, beta: float = 1e8,
+        **others: Any,
+    ) -> "LeastSquaresProblem":
+        """Return OCP_N of the paper (Eqs. 25 and 34) with its N, T, alpha and beta.
+
+        Its cost is the paper's over beta. The arguments are those of `of`.
+        """
+        scale = robot.max_rotor_speed
+        return cls.of(
+            robot, state, goal, np.full(horizon, period), input_in_force,
+            stage_weight=1.0 / beta, input_weight=alpha * scale**2 / beta,
+            max_acceleration=np.inf, **others,
+        )
+
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class MinimumTimeProblem(Shooting):
     """Problem whose durations are sigma h_m, with one factor sigma, the stretch.
 
-    Minimise, for the knots and sigma,
+    Minimise, for the knots and sigma::
 
-        sigma sum_{m=1}^{N} h_m + w |e|_1 + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
+        sigma sum_{m=1}^{N} h_m + w |e|_1
+            + w_f sum_{m=1}^{N} |u_m - u_{m-1}|^2 / (a^2 sigma h_m)
 
-    subject to |u_m - u_{m-1}| <= a sigma h_m and sigma sum_m h_m >= t_min. The last sum is the
+    subject to ``|u_m - u_{m-1}| <= a sigma h_m, sigma sum_m h_m >= t_min``. The last sum is the
     effort [s]: the time for which rotors accelerate, by the square of the share of the limit. The
     terminal error e consists of s (p_N - p_d - v_d t_N), the vector part of q_N conj(q_d) times
     w_q, by component, (u_N - u_f - (R(q_d)^T h_N)_1,2) / U, and r_h . h_N with momentum or torque,
@@ -189,6 +232,15 @@ class MinimumTimeProblem(Shooting):
     whole_turns: float = 0.0
     effort_weight: float = 0.0
     least_duration: float = 0.0
+
+    def terminal_error(self, solution: "Solution") -> float:
+        """Return ``|e|_1`` of a solution [-], infinite where it is not finite."""
+        if solution.status is SolveStatus.NOT_FINITE:
+            return np.inf
+        left = solution.cost - solution.stretch * float(np.sum(self.durations))
+        if self.effort_weight > 0.0:
+            left -= self.effort(solution.inputs, solution.stretch)
+        return max(0.0, left) / self.error_weight
 
     def effort(self, inputs: Vector, stretch: float) -> float:
         """Return the effort [s] of speeds u_0 ... u_N, (N + 1, 2) [rad/s], times its weight."""
@@ -233,7 +285,7 @@ class SolverSettings:
         minimum-time problem the first proximal weight.
     target_cost : float
         Converged as soon as the cost is below this; for feasibility searches. In a minimum-time
-        problem as soon as w |e|_1 is, be it with the initial guess.
+        problem as soon as ``w |e|_1`` is, be it with the initial guess.
     """
 
     max_iterations: int = 100
@@ -254,6 +306,8 @@ class Solution:
         u_0 (in force) to u_N [rad/s].
     states : ndarray, shape (N + 1, 9)
         x_0 to x_N.
+    durations : ndarray, shape (N,)
+        Those of the problem [s], which `stretch` multiplies.
     cost : float
         Value of the objective.
     status : SolveStatus
@@ -271,9 +325,15 @@ class Solution:
 
     inputs: Annotated[Vector, "N + 1", 2]
     states: Annotated[Vector, "N + 1", 9]
+    durations: Annotated[Vector, "N"]
     cost: float
     status: SolveStatus
     iterations: int
     kkt_residual: float
     solve_time: float
     stretch: float = 1.0
+
+    @property
+    def times(self) -> Vector:
+        """Times of the knots from 0 on [s], shape (N + 1,)."""
+        return np.concatenate(([0.0], np.cumsum(self.stretch * self.durations)))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sphere_nmpc.model.disturbance import UNDISTURBED, Disturbance
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import STATE_SIZE, Vector
 from sphere_nmpc.model.units import DEFAULT_MAX_STEP
 from sphere_nmpc.solver.native.library import library
 
@@ -56,8 +56,8 @@ def roll_out(
 
     Parameters
     ----------
-    state : ndarray, shape (9,)
-        x_0, the state at the first knot.
+    state : ndarray, shape (9,) or (6,)
+        x_0, the state at the first knot; a pose has no momentum.
     inputs : ndarray, shape (N + 1, 2)
         Rotor speeds u_0 ... u_N at the knots [rad/s].
     durations : ndarray, shape (N,)
@@ -71,15 +71,17 @@ def roll_out(
 
     Returns
     -------
-    ndarray, shape (N + 1, 9)
-        x_0 ... x_N.
+    ndarray, shape (N + 1, 9) or (N + 1, 6)
+        x_0 ... x_N; poses from a pose.
     """
     solver = library()
     if solver is None:
         from sphere_nmpc.solver import plain  # loads CasADi
 
         torques = disturbance.as_array()
-        return plain.shoot(state, torques, inputs, durations, constants, max_step).states
+        start = np.concatenate((state, np.zeros(STATE_SIZE - state.size)))
+        found = plain.shoot(start, torques, inputs, durations, constants, max_step).states
+        return found[:, : state.size]
     n = durations.size
     kept: dict[Any, Any] = _WORKSPACES.__dict__
     workspace: _Workspace | None = kept.get(n)
@@ -88,10 +90,12 @@ def roll_out(
     workspace.constants[:] = constants
     workspace.torques[:2], workspace.torques[2:] = disturbance.slope, disturbance.imbalance
     workspace.durations[:] = durations
-    workspace.states[0] = state
+    size = state.size
+    workspace.states[0, :size] = state
+    workspace.states[0, size:] = 0.0
     workspace.inputs[:] = inputs
     solver.hold_roll_out(n, max_step, *workspace.addresses)
-    return workspace.states.copy()
+    return workspace.states[:, :size].copy()
 
 
 def propagate(

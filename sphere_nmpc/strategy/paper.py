@@ -25,12 +25,11 @@ import numpy as np
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, POSITION, Vector, without_momentum
-from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.solver.problem import LeastSquaresProblem, Solution, SolverSettings, SolveStatus
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan
 
 SETTLED_COST = 1e-4
 """Cost of a plan that ends within 1e-2 of the goal, the error at which a run counts as settled."""
@@ -153,16 +152,12 @@ class PaperStrategy:
         settings = self._settings
         pose, goal = situation.state[POSE], problem.goal
         error = settings.units.scaled(pose) - settings.units.scaled(goal)
-        return Plan(
-            PlanStatus.BEST_SO_FAR if capped else PlanStatus.SOLVED,
-            FirstOrderHold(times, solution.inputs),
-            solution.states,
-            conditions=(Condition(Kind.PLANNED, message),) if message else (),
-            made=Made(
-                # The solver's cost is divided by beta and lacks the first state's stage cost.
-                settings.terminal_weight * solution.cost + float(error @ error),
-                solution.iterations, solution.kkt_residual, solve_time=solve_time,
-            ),
+        return Plan.found(
+            FirstOrderHold(times, solution.inputs), solution.states, not capped, message,
+            # The solver's cost is divided by beta and lacks the first state's stage cost.
+            cost=settings.terminal_weight * solution.cost + float(error @ error),
+            iterations=solution.iterations, kkt_residual=solution.kkt_residual,
+            solve_time=solve_time,
         )
 
     def _best_answer(

@@ -33,7 +33,7 @@ from sphere_nmpc.solver.path_motion import PathLimits, PathMotion, PathProblem, 
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.rest import hold_momentum, stop
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -181,7 +181,7 @@ class PathFollowing:
             time_left=left * hold.durations.sum() / max(float(motion.ways[-1]) - self.way, 1e-9),
         )
         plan = Plan(
-            PlanStatus.SOLVED, hold, states, leg, error=0.0,
+            hold, states, leg=leg, error=0.0,
             conditions=(Condition(Kind.PLANNED, f"along the path, {left:.2f} m after it"),),
         )
         if not is_disturbed:

@@ -5,6 +5,7 @@
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -79,12 +80,12 @@ class Plan:
 
     Attributes
     ----------
-    status : PlanStatus
-        Origin and quality of the plan.
     hold : FirstOrderHold
         Rotor speeds [rad/s]; the first knot is at the sampling instant.
     states : ndarray, shape (K, 9)
         Predicted states at the knots of `hold`; of one that stops that at its start.
+    status : PlanStatus
+        Origin and quality of the plan.
     leg : Leg
         Leg that it ends at, whose goal is the member at which it ends, since the arrival; nan
         if not known.
@@ -110,9 +111,9 @@ class Plan:
         Time by which it arrives later than the earliest arrival found [s], to spare the motors.
     """
 
-    status: PlanStatus
     hold: FirstOrderHold
     states: Vector
+    status: PlanStatus = PlanStatus.SOLVED
     leg: Leg = _NOWHERE
     error: float = math.nan
     clearance: float = math.nan
@@ -122,6 +123,19 @@ class Plan:
     made: Made = _UNKNOWN
     asked: float = -math.inf
     spared: float = 0.0
+
+    @classmethod
+    def found(
+        cls, hold: FirstOrderHold, states: Vector, is_converged: bool = True, message: str = "",
+        **made: Any,
+    ) -> "Plan":
+        """Return the plan that a solver has found, the best so far if it has not converged.
+
+        The message is said of it; `made` are fields of `Made`, such as its cost.
+        """
+        status = PlanStatus.SOLVED if is_converged else PlanStatus.BEST_SO_FAR
+        conditions = (Condition(Kind.PLANNED, message),) if message else ()
+        return cls(hold, states, status, conditions=conditions, made=Made(**made))
 
     @property
     def end(self) -> float:

@@ -72,4 +72,4 @@ def stop(situation: Situation, robot: RobotParameters, message: str) -> Plan:
 
 def _plan(situation: Situation, hold: FirstOrderHold, message: str, status: PlanStatus) -> Plan:
     conditions = (Condition(Kind.PLANNED, message),)
-    return Plan(status, hold, situation.state[None, :], conditions=conditions)
+    return Plan(hold, situation.state[None, :], status, conditions=conditions)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sphere_nmpc.model.integrator import step_function, steps_for
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, Vector, without_momentum
+from sphere_nmpc.model.state import INPUT_SIZE, Vector
 from sphere_nmpc.model.symbolic_rotation import Expression
 from sphere_nmpc.solver.problem import LeastSquaresProblem
 
@@ -25,22 +25,15 @@ ROBOT = RobotParameters()
 CONSTANTS = ROBOT.lumped.as_array()
 LIMIT = ROBOT.max_rotor_speed
 
-_BOUND = np.full((HORIZON, INPUT_SIZE), LIMIT)
-_MINUS_BOUND = -_BOUND
-_DURATIONS = np.full(HORIZON, SAMPLE_PERIOD)
-
 
 def paper_problem(state: Vector, goal: Vector, input_in_force: Vector) -> LeastSquaresProblem:
     """Return OCP_N of the paper (Eq. 34) with its cost divided by beta.
 
     Its arguments are the current and the desired pose, (6,), and the rotor speeds, (2,) [rad/s].
     """
-    return LeastSquaresProblem(
-        state=without_momentum(state), goal=goal, input_in_force=input_in_force,
-        durations=_DURATIONS, constants=CONSTANTS, lower=_MINUS_BOUND, upper=_BOUND,
-        input_scale=LIMIT,
-        stage_weight=1.0 / TERMINAL_WEIGHT,
-        input_weight=INPUT_WEIGHT * LIMIT**2 / TERMINAL_WEIGHT, max_step=INTEGRATION_STEP,
+    return LeastSquaresProblem.of_paper(
+        ROBOT, state, goal, input_in_force, HORIZON, SAMPLE_PERIOD, INPUT_WEIGHT, TERMINAL_WEIGHT,
+        max_step=INTEGRATION_STEP,
     )
 
 

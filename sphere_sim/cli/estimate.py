@@ -14,11 +14,11 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, printable_line, shown
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.mounting import FixedFrames
+from sphere_nmpc.estimation.mounting import RobotFrames
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS, counted, quantities
+from sphere_nmpc.quantities import NANOSECONDS, counted, quantities
 from sphere_nmpc.ros.cdr import BODY_FRAME, JOINT_NAMES
 from sphere_nmpc.ros.settings import FrameSettings, OdometryNodeSettings, SchedulingSettings
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry, estimate_table
@@ -126,7 +126,7 @@ def _imu_settings(texts: Mapping[str, str], frame: str, namespace: str) -> ImuSe
     if not node.robot_description:
         return imu
     prefix = node.frame_prefix or f"{namespace.strip('/')}/".lstrip("/")
-    frames = FixedFrames(node.robot_description)
+    frames = RobotFrames(node.robot_description)
     place, turn = frames.mounting(frame.removeprefix(prefix), BODY_FRAME)
     return replace(imu, position=tuple(place.tolist()), orientation=tuple(turn.tolist()))
 

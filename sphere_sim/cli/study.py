@@ -5,9 +5,11 @@
 import argparse
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign.file import find_file
 from sphere_nmpc.process.library_threads import limit_library_threads
 from sphere_nmpc.settings import STRATEGIES
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
 _KINDS = ("anywhere", "far", "kilometre", "circle", "half_turn", "upright", "typed")
 """Names of `scenario.scenarios.DRAWS`, whose import would load NumPy; a test compares."""
+_SUITES = ("point-v1", "contact-v1", "worlds-v1")
+"""Names of `study.suite.SUITES`, likewise."""
 _MOST_DRAWN, _MOST_JOBS = 10**6, 1024
 _STEEPEST, _FARTHEST_OFF = 28.0, 30.0  # [degree], [mm]
 """Largest numbers that are accepted."""
@@ -57,13 +61,17 @@ def _run(arguments: argparse.Namespace) -> int:
     from sphere_sim.study.progress import StudyProgress
     from sphere_sim.study.single_run import floor_of
     from sphere_sim.study.study import Study
+    from sphere_sim.study.suite import Score, scenarios_of
     from sphere_sim.study.tables import headline
     from sphere_sim.study.workers import Workers, cores
 
     strategies = tuple(dict.fromkeys(arguments.strategy or ()))
     conditions = _conditions(arguments, strategies)
     floor, _ = floor_of(conditions.floor, conditions.robot.shell_radius)
-    if arguments.scenarios is not None:
+    known: list[float] = []
+    if arguments.suite is not None:
+        scenarios, known = scenarios_of(arguments.suite)
+    elif arguments.scenarios is not None:
         scenarios = read_scenarios(arguments.scenarios)
     else:
         scenarios = draw_scenarios(arguments.draw, arguments.seed, arguments.kind, floor)
@@ -72,15 +80,17 @@ def _run(arguments: argparse.Namespace) -> int:
     study = Study(scenarios, conditions, prepare_folder(arguments.out), strategies)
 
     def search(motions: "Sequence[Motion]") -> Sequence[float]:
+        if known:
+            return [*known] * (len(motions) // len(known))
         progress.close()
         left = (
             f"{arguments.out} has all results but the best known times; the same command "
             "continues the search"
         )
         with if_interrupted(lambda: left):
-            known = best_known_times(motions, conditions.robot, workers, arguments.bound_effort)
+            times = best_known_times(motions, conditions.robot, workers, arguments.bound_effort)
         # Runs are judged by when they settle, which is before they are at rest at the goal.
-        return [found.settling for found in known]
+        return [found.settling for found in times]
 
     runs = len(scenarios) * max(1, len(strategies))
     jobs = arguments.jobs or cores()
@@ -88,6 +98,8 @@ def _run(arguments: argparse.Namespace) -> int:
         summaries = study.run(workers, None if arguments.no_bound else search, progress.count)
     for summary in summaries.values():
         print(f"{headline(summary)} -> {arguments.out}")
+        if arguments.suite is not None and summary["scores"]:
+            print(Score(arguments.suite, summary["strategy"], summary["scores"]))
     return 1 if any(summary["crashed"] for summary in summaries.values()) else 0
 
 
@@ -105,7 +117,9 @@ def _draws(arguments: argparse.Namespace) -> "DisturbanceDraws":
 def _conditions(
     arguments: argparse.Namespace, strategies: Sequence[str]
 ) -> "StudyConditions":
+    from sphere_sim.scenario.perturbation import DisturbanceDraws
     from sphere_sim.study.conditions import StudyConditions
+    from sphere_sim.study.suite import SUITES
 
     position_noise, orientation_noise = arguments.pose_noise
     named = {
@@ -120,10 +134,17 @@ def _conditions(
         "simulator.orientation_noise": orientation_noise,
     }
     given = [(name, str(value)) for name, value in named.items() if value is not None]
-    conditions = StudyConditions(
-        duration=arguments.duration, perturbation=arguments.perturb, latency=arguments.latency
-    )
-    return conditions.with_settings([*given, *arguments.set])
+    conditions = StudyConditions() if arguments.suite is None else SUITES[arguments.suite]
+    run = {"duration": arguments.duration, "perturbation": arguments.perturb,
+           "latency": arguments.latency}
+    changed = replace(conditions, **{name: it for name, it in run.items() if it is not None})
+    changed = changed.with_settings([*given, *arguments.set])
+    is_other = replace(changed, controller=conditions.controller) != conditions
+    if arguments.suite is not None and (is_other or _draws(arguments) != DisturbanceDraws()):
+        raise InvalidParameterError(
+            "--suite", arguments.suite, "settings of the controller alone beside it"
+        )
+    return changed
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -141,6 +162,10 @@ def _parser() -> argparse.ArgumentParser:
     source.add_argument(
         "--draw", type=whole(1, _MOST_DRAWN), metavar="N",
         help="N random scenarios; see --kind",
+    )
+    source.add_argument(
+        "--suite", choices=_SUITES,
+        help="scenarios and conditions of a suite, and scores; docs/suites.md",
     )
     parser.add_argument(
         "--kind", choices=_KINDS, default=_KINDS[0],
@@ -166,7 +191,7 @@ def _parser() -> argparse.ArgumentParser:
         help="poses of a sensor (the default), or of an odometry by IMU and encoders",
     )
     parser.add_argument(
-        "--perturb", type=not_negative, default=0.0, metavar="PERCENT",
+        "--perturb", type=not_negative, metavar="PERCENT",
         help="largest error of the robot's parameters, whose nominal values the controller has",
     )
     parser.add_argument(
@@ -179,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
         help="standard deviation of the measured position and orientation",
     )
     parser.add_argument(
-        "--latency", type=not_negative, default=0.0, metavar="SECONDS",
+        "--latency", type=not_negative, metavar="SECONDS",
         help="age of the newest pose at a sampling instant",
     )
     parser.add_argument(
@@ -204,7 +229,7 @@ def _parser() -> argparse.ArgumentParser:
         "are anywhere on it where the sphere has its clearance",
     )
     parser.add_argument(
-        "--duration", type=positive, default=30.0, metavar="SECONDS",
+        "--duration", type=positive, metavar="SECONDS",
         help="length of a run (30)",
     )
     where = parser.add_mutually_exclusive_group()

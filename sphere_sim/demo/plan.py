@@ -13,7 +13,7 @@ import numpy as np
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import as_state
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_sim.evaluation.metrics import LOOSELY_SETTLED, SETTLED_ERROR
 from sphere_sim.scenario.perturbation import perturbed

@@ -19,7 +19,7 @@ from sphere_nmpc import __version__
 from sphere_nmpc.model.goal import Goal
 from sphere_sim.demo.plan import DemoPlan
 from sphere_sim.evaluation.closed_loop import run_closed_loop
-from sphere_sim.evaluation.metrics import Stay, state_errors, stay_below
+from sphere_sim.evaluation.metrics import Stay, stay_below
 from sphere_sim.evaluation.series import Series
 from sphere_sim.output.error_text import draw_or_warn
 from sphere_sim.output.files import write_atomically
@@ -100,7 +100,7 @@ def _figures(run: Run, plan: DemoPlan) -> dict[str, float]:
     metrics = run.metrics()
     if metrics is None:
         raise BagError(run.path, "holds no goal or no pose after it")
-    stay = stay_below(run.times, state_errors(run.states, plan.scenario.goal), plan.tolerance)
+    stay = stay_below(run.times, run.errors[:, 0], plan.tolerance)
     stay = stay or Stay(math.nan, math.nan, math.nan)
     return dataclasses.asdict(metrics) | {
         "within_s": stay.since, "max_error_after": stay.largest, "p95_error_after": stay.p95
@@ -159,7 +159,7 @@ def _computed_other(plan: DemoPlan, recorded: Run) -> Run:
     conditions = plan.conditions.with_settings([("controller.strategy", plan.other_strategy)])
     trajectory = run_closed_loop(
         *assemble(conditions, plan.scenario, plan.robot), plan.scenario.goal,
-        max(_AT_LEAST, float(np.ceil(recorded.times[-1]))), conditions.controller.control_period,
+        max(_AT_LEAST, float(np.ceil(recorded.times[-1]))),
     )
     tracked = [decision.plan for decision in trajectory.decisions if decision.solved]
     goal = Series(np.zeros(1), (Goal(plan.scenario.goal),), lasting=True)

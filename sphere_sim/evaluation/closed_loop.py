@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loop without ROS: the simulator and the controller of the nodes, called in turn."""
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
@@ -15,7 +18,8 @@ from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
+from sphere_sim.evaluation.metrics import errors_to, stay_below
 from sphere_sim.evaluation.series import RobotSeries, Series
 from sphere_sim.world.disturbances import Push
 from sphere_sim.world.simulator import Simulator
@@ -34,30 +38,44 @@ class Trajectory(RobotSeries):
         One for each sampling instant.
     holds : list of FirstOrderHold
         Commands; each is followed until the next one starts.
+    goal : Goal
+        The goal, of several the last one.
     at_push : ndarray, shape (11,) or (0,)
         State, rotor speeds [rad/s] and momentum [N m s; world frame] just after the push; empty
         without one.
     """
 
+    goal: Goal
     decisions: list[Decision]
     holds: list[FirstOrderHold] = field(default_factory=list)
     at_push: Vector = field(default_factory=lambda: np.empty(0))
 
+    @cached_property
+    def errors(self) -> Vector:
+        """Error ||x - x_d|| to the goal over time [mixed units], shape (n,)."""
+        return errors_to(self.goal, self.states)[:, 0]
+
+    @property
+    def settled_after(self) -> float:
+        """Time from which the error stays below 1e-2 to the end [s]; nan where it does not."""
+        stay = stay_below(self.times, self.errors)
+        return math.nan if stay is None else stay.since
+
 
 def run_closed_loop(
-    simulator: Simulator, controller: Controller, goal: Vector | Goal | Course,
-    duration: float, control_period: float, output_period: float = 0.01, latency: float = 0.0,
+    simulator: Simulator, controller: Controller, goal: ArrayLike | Goal | Course,
+    duration: float, output_period: float = 0.01, latency: float = 0.0,
     push: Push | None = None, poses: Callable[[], list[tuple[int, Vector]]] | None = None,
 ) -> Trajectory:
     """Simulate a plant under a new controller with a goal, a set or shape (6,), or a course.
 
     The run begins at the start of the plant and lasts `duration`, with a sampling instant every
-    `control_period` and a row of the trajectory every `output_period`, which the controller does
-    not see [s]. `latency` is the age of the newest pose at a sampling instant [s]; its stamp is
-    the time of measurement, and before the run the sphere is measured at rest. `poses` returns
-    stamps [ns] and poses, shape (6,), that are new; by default they are those of the simulator's
-    sensor. `InvalidParameterError` is raised if a latency is given for a source of poses that has
-    stamps of its own.
+    period of the controller and a row of the trajectory every `output_period`, which the
+    controller does not see [s]. `latency` is the age of the newest pose at a sampling instant [s];
+    its stamp is the time of measurement, and before the run the sphere is measured at rest.
+    `poses` returns stamps [ns] and poses, shape (6,), that are new; by default they are those of
+    the simulator's sensor. `InvalidParameterError` is raised if a latency is given for a source of
+    poses that has stamps of its own.
     """
     plain = poses is None and simulator.settings.is_sensor_plain
     if latency and not plain:
@@ -65,8 +83,9 @@ def run_closed_loop(
             "latency", latency, "0 for a sensor with rate or latency, and for an odometry"
         )
     new_poses = poses or simulator.poses
-    controller.set_goal(goal)
-    control, output = round(control_period * NANOSECONDS), round(output_period * NANOSECONDS)
+    course = goal if isinstance(goal, Course) else Course.of(goal)
+    controller.set_goal(course)
+    control, output = (round(p * NANOSECONDS) for p in (controller.period, output_period))
     end = round(duration * NANOSECONDS)
     delay = round(latency * NANOSECONDS)
     push_at = -1 if push is None else round(push.time * NANOSECONDS)
@@ -107,7 +126,7 @@ def run_closed_loop(
         simulator.advance_to(min(then, push_at) if now < push_at else then)
     times, *columns = (np.array(column) for column in zip(*rows, strict=True))
     states, speeds, torques = (Series(times, column) for column in columns)
-    return Trajectory(states, speeds, torques, decisions, holds, at_push)
+    return Trajectory(states, speeds, torques, course.goals[-1], decisions, holds, at_push)
 
 
 def _next(now: int, period: int) -> int:

@@ -12,7 +12,7 @@ from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.evaluation.metrics import estimate_errors
 from sphere_sim.evaluation.series import Series
 from sphere_sim.world.imu_sensor import ImuReading, ImuSensor

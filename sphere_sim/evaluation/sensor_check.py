@@ -13,7 +13,7 @@ from sphere_nmpc.estimation.imu import GRAVITY_REMOVED, ImuSettings, convention_
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.state import QUATERNION, Vector
-from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.quantities import NANOSECONDS, counted
 from sphere_sim.evaluation.metrics import angle_errors
 
 PASS, WARN, FAIL = "PASS", "WARN", "FAIL"

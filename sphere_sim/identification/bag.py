@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sphere_nmpc.model.state import INPUT_SIZE, Vector
-from sphere_nmpc.quantity import LARGEST
+from sphere_nmpc.quantities import LARGEST
 from sphere_nmpc.ros import cdr
 from sphere_sim.evaluation.series import RobotSeries, Series
 from sphere_sim.identification.drives import Commands

@@ -16,7 +16,7 @@ from sphere_nmpc.model.disturbance import GRAVITY
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.identification.bag import Recorded
 from sphere_sim.identification.drives import Drives, identified_drives

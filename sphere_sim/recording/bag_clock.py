@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 TOLERANCE = 1.0
 """Largest plausible time between a stamp and the log time of its message, on either clock [s]."""

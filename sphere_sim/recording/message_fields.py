@@ -12,7 +12,7 @@ from sphere_nmpc.model.disturbance import Disturbance, imbalance_of_offset, slop
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import known
+from sphere_nmpc.quantities import known
 
 CLEARANCE = "clearance_m"
 """Key of the least distance between the sphere on its planned path and what is occupied [m]."""

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from sphere_nmpc.errors import InvalidParameterError, shown
 from sphere_nmpc.foreign.file import InvalidFileError, find_file, read_file, yaml_texts
-from sphere_nmpc.quantity import parsed, quantities
+from sphere_nmpc.quantities import parsed, quantities
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX, object_of
 
 S = TypeVar("S")

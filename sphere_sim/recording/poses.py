@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphere_nmpc.model.state import POSE_SIZE, QUATERNION, Vector, are_states
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.evaluation.series import Series
 from sphere_sim.recording.bag_clock import (
     OTHER_CLOCK,

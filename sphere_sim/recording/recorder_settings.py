@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 DEFAULT_TOPICS = (
     "pose",
@@ -28,6 +28,7 @@ DEFAULT_TOPICS = (
     "rotor_commands",
     "controller/*",
     "simulator/pushed",
+    "robot_description",
     "/clock",
     "/diagnostics",
     "/parameter_events",
@@ -52,13 +53,16 @@ KNOWN_TYPES = {
     "controller/floor": "nav_msgs/msg/OccupancyGrid",
     "controller/path": "nav_msgs/msg/Path",
     "simulator/pushed": "geometry_msgs/msg/Vector3Stamped",
+    "robot_description": "std_msgs/msg/String",
     "/clock": "rosgraph_msgs/msg/Clock",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 """Types of topics that are subscribed to before they have a publisher, so that their first
 messages are not missed; messages of another type on these topics are of another sender."""
 
-LATCHED = ("controller/active_goal", "controller/floor", "controller/path")
+LATCHED = (
+    "controller/active_goal", "controller/floor", "controller/path", "robot_description",
+)
 """Topics among these whose publisher keeps the last message for late subscribers."""
 
 

@@ -18,7 +18,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal, Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE_SIZE, QUATERNION, Vector, are_states
-from sphere_nmpc.quantity import LARGEST, NANOSECONDS, known, stamp_text
+from sphere_nmpc.quantities import LARGEST, NANOSECONDS, known, stamp_text
 from sphere_nmpc.ros.cdr import JOINT_NAMES
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_sim.evaluation.metrics import estimate_errors

@@ -11,7 +11,7 @@ import numpy as np
 
 from sphere_nmpc.errors import InvalidInputError, InvalidValueError
 from sphere_nmpc.model.state import POSE_SIZE, Vector, are_states
-from sphere_nmpc.quantity import LARGEST, counted
+from sphere_nmpc.quantities import LARGEST, counted
 from sphere_nmpc.ros.cdr import JOINT_NAMES, TYPES, Imu, Joints, Pose, UncertainPose
 from sphere_sim.evaluation.followed_odometry import FollowedOdometry
 from sphere_sim.evaluation.series import Series

@@ -7,7 +7,7 @@ by default it is the number of the row, counted from 0. ``push_x, push_y, push_t
 and columns named like settings of the disturbances, such as ``slope``, have values for the run;
 all these may be absent or empty. ``path`` names a CSV file of ``x, y``, along which the run leads
 to the last place, and ``path_speed`` is its speed; the goal of such a run may be absent or empty
-and is not read. Other columns are copied to the results.
+and is not read. ``map`` names the map file of the run. Other columns are copied to the results.
 """
 
 import contextlib
@@ -29,10 +29,11 @@ from sphere_nmpc.errors import (
     printable_line,
     shown,
 )
+from sphere_nmpc.floor.map_file import InvalidMapError, read_map
 from sphere_nmpc.foreign.file import InvalidFileError, open_file
 from sphere_nmpc.model.rotation import NORM_TOLERANCE
 from sphere_nmpc.model.state import FARTHEST, Vector, as_state
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.scenario.scenarios import (
     DISTURBANCE_COLUMNS,
@@ -48,6 +49,7 @@ GOAL_COLUMNS = tuple(f"goal_{name}" for name in START_COLUMNS)
 STATE_COLUMNS = START_COLUMNS + GOAL_COLUMNS
 SEED_COLUMN = "seed"
 PATH_COLUMN = "path"
+MAP_COLUMN = "map"
 PLACE_COLUMNS = ("x", "y")
 
 LARGEST_FILE = 2**28
@@ -89,9 +91,10 @@ class ScenarioFileError(SphereNmpcError, ValueError):
 def read_scenarios(path: Path) -> list[Scenario]:
     """Read all scenarios of a file; `ScenarioFileError` names what is wrong."""
     paths: dict[Path, Vector] = {}
+    maps: set[Path] = set()
     with _opened(path) as file:
         return [
-            _scenario(path, line, fields, index, paths)
+            _scenario(path, line, fields, index, paths, maps)
             for index, (line, fields) in enumerate(_rows(path, file, _needed_columns, "scenario"))
         ]
 
@@ -178,7 +181,8 @@ def _check_header(path: Path, line: int, names: Sequence[str], needed: Sequence[
 
 
 def _scenario(
-    path: Path, line: int, fields: dict[str, str], number: int, paths: dict[Path, Vector]
+    path: Path, line: int, fields: dict[str, str], number: int, paths: dict[Path, Vector],
+    maps: set[Path],
 ) -> Scenario:
     given = {name: fields.pop(name, "").strip() for name in STATE_COLUMNS}
     seed = _seed(path, line, fields.pop(SEED_COLUMN, "").strip(), number)
@@ -189,14 +193,34 @@ def _scenario(
     push = _push(path, line, {name: fields.pop(name, "").strip() for name in PUSH_COLUMNS})
     disturbances = _settings(path, line, fields, DisturbanceSettings, DISTURBANCE_COLUMNS)
     speed = _settings(path, line, fields, ControllerSettings, (PATH_SPEED_COLUMN,))
+    named = fields.pop(MAP_COLUMN, "").strip()
+    map_file = _map(path, line, _beside(path, named), maps) if named else None
     return Scenario(
-        start, goal, seed, fields, given, push, disturbances, follows, speed.get(PATH_SPEED_COLUMN)
+        start, goal, seed, fields, given, push, disturbances, follows,
+        speed.get(PATH_SPEED_COLUMN), map_file,
     )
+
+
+def _beside(path: Path, text: str) -> Path:
+    """Return the file that a scenario of the file at `path` names."""
+    return (path.parent / os.path.expanduser(text)).absolute()
+
+
+def _map(path: Path, line: int, file: Path, known: set[Path]) -> Path:
+    """Return the map file that a scenario names; each is read once, to see that it can be."""
+    try:
+        if file not in known:
+            read_map(file)
+    except InvalidMapError as error:
+        given = f"{shown(file.name)}, {shown(error.given)}"
+        raise ScenarioFileError(path, given, error.expected, line, MAP_COLUMN) from None
+    known.add(file)
+    return file
 
 
 def _path(path: Path, line: int, text: str, known: dict[Path, Vector]) -> GivenPath:
     """Return the path that a scenario names; each file is read once."""
-    file = (path.parent / os.path.expanduser(text)).absolute()
+    file = _beside(path, text)
     try:
         if file not in known:
             most = MOST_FIELDS - sum(places.size for places in known.values())

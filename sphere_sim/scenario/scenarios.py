@@ -7,15 +7,17 @@ SciPy is imported where it is used, as it takes long to load.
 
 import pathlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphere_nmpc.errors import Description, InvalidParameterError
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.goal import Goal
+from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.path import Path
 from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import (
@@ -26,6 +28,7 @@ from sphere_nmpc.model.state import (
     make_state,
     upright_state,
 )
+from sphere_sim.scenario.lower_bound import lower_bound
 from sphere_sim.world.disturbances import DisturbanceSettings, Push
 
 if TYPE_CHECKING:
@@ -75,6 +78,8 @@ class Scenario:
         Path of the run, at whose end is its goal.
     path_speed : float, optional
         Setting of the controller of this run [m/s].
+    map_file : pathlib.Path, optional
+        Setting of the floor of this run.
     """
 
     start: Vector
@@ -86,12 +91,24 @@ class Scenario:
     disturbances: dict[str, float] = field(default_factory=dict)
     follows: GivenPath | None = None
     path_speed: float | None = None
+    map_file: pathlib.Path | None = None
+
+    def floor(self, settings: FloorSettings) -> FloorSettings:
+        """Return the settings of the floor of the run."""
+        return replace(settings, map_file=str(self.map_file)) if self.map_file else settings
 
     def course(self, tolerance: float, radius: float) -> Course:
         """Return the course of the run; see `Path.through` for what a path needs."""
         if self.follows is None:
             return Course.of(Goal(as_state(self.goal)))
         return Course.along(*Path.through(self.follows.places, tolerance, radius))
+
+    def lower_bound(self, robot: RobotParameters) -> float:
+        """Return a time [s] in which no motion leads from the start to the goal, at rest at both.
+
+        It holds without momentum on a level floor.
+        """
+        return lower_bound(self.start, self.goal, robot)
 
     @property
     def optional(self) -> dict[str, float]:
@@ -229,8 +246,9 @@ def draw_scenarios(
 ) -> list[Scenario]:
     """Return random scenarios of one of the kinds in `DRAWS`.
 
-    On a floor the positions are uniform over all of it that has the needed clearance; a goal at
-    its start stays there. Scenario i depends on the seed alone, not on `number`.
+    These are anywhere, far, kilometre, circle, half_turn, upright and typed. On a floor the
+    positions are uniform over all of it that has the needed clearance; a goal at its start stays
+    there. Scenario i depends on the seed alone, not on `number`.
     `InvalidParameterError` is raised for a floor without room for the sphere.
     """
     scenarios = []

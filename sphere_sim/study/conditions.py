@@ -11,7 +11,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation.odometry_settings import OdometrySettings
 from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import parsed, quantities, quantity, validate
+from sphere_nmpc.quantities import parsed, quantities, quantity, validate
 from sphere_nmpc.settings import ControllerSettings
 from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.imu_sensor import SimulatedImuSettings

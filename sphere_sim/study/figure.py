@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import LARGEST
+from sphere_nmpc.quantities import LARGEST
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.colours import SERIES, css
 from sphere_sim.study.conditions import StudyConditions

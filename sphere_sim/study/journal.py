@@ -25,6 +25,7 @@ import numpy as np
 import sphere_nmpc
 import sphere_sim
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_sim.output.files import ResultFolderError
 from sphere_sim.scenario.scenarios import Scenario
 from sphere_sim.study.conditions import StudyConditions
@@ -65,10 +66,10 @@ def fingerprint(conditions: StudyConditions, scenarios: Sequence[Scenario]) -> d
         "scenarios": _digest(_scenario_bytes(scenarios)),
         "code": code_digest(),
     }
-    floor, _ = floor_of(conditions.floor, conditions.robot.shell_radius)
-    if not floor.is_empty:
-        about = json.dumps([floor.grid.resolution, floor.grid.origin, floor.grid.occupied.shape])
-        content["map"] = _digest([about.encode(), np.packbits(floor.grid.occupied).tobytes()])
+    floors = [scenario.floor(conditions.floor) for scenario in scenarios]
+    maps = {each: _map_bytes(each, conditions.robot.shell_radius) for each in {*floors}}
+    if any(maps.values()):
+        content["map"] = _digest(maps[each] for each in floors)
     # Through JSON and back, so that it equals what is read from a file.
     plain: dict[str, Any] = json.loads(json.dumps(content))
     return plain
@@ -99,6 +100,15 @@ def _scenario_bytes(scenarios: Sequence[Scenario]) -> Iterator[bytes]:
         yield b"" if scenario.follows is None else scenario.follows.places.tobytes()
         about = [scenario.seed, scenario.extra, scenario.given, scenario.optional]
         yield json.dumps(about).encode()
+
+
+def _map_bytes(settings: FloorSettings, radius: float) -> bytes:
+    """Return a digest of what is occupied of a floor; empty where nothing is."""
+    floor, _ = floor_of(settings, radius)
+    if floor.is_empty:
+        return b""
+    about = json.dumps([floor.grid.resolution, floor.grid.origin, floor.grid.occupied.shape])
+    return _digest([about.encode(), np.packbits(floor.grid.occupied).tobytes()]).encode()
 
 
 def _digest(parts: Iterable[bytes]) -> str:

@@ -18,8 +18,8 @@ from sphere_nmpc.model.disturbance import (
 from sphere_nmpc.model.goal import Orientation
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, MOMENTUM, QUATERNION, Vector, without_momentum
+from sphere_sim.scenario.lower_bound import lower_bound
 from sphere_sim.scenario.scenarios import Scenario
-from sphere_sim.study.lower_bound import lower_bound
 from sphere_sim.study.record import RunRecord
 from sphere_sim.world.disturbances import DisturbanceSettings
 
@@ -45,7 +45,7 @@ class Motion:
     def lower_bound(self, robot: RobotParameters) -> float:
         """Return a time [s] in which no motion is possible; nan where no bound is known.
 
-        `sphere_sim.study.lower_bound` has the bound, which holds from rest without momentum.
+        `sphere_sim.scenario.lower_bound` has the bound, which holds from rest without momentum.
         """
         if not self.starts_in_model_of_paper or self.orientation is not Orientation.FULL:
             return math.nan

@@ -19,8 +19,8 @@ RESULT_COLUMNS = (
     "strategy", "settled", "settle_time_s", "final_error", "final_position_error_m",
     "final_orientation_error_rad", "max_rotor_speed", "max_rotor_acceleration",
     "max_rotor_torque_nm", "heat", "energy_j", "solve_ms_p50", "solve_ms_p99", "solve_ms_max",
-    "lower_bound_s", "bound_s", "ratio", "failures", "loose_settle_time_s", "tail_error_p95",
-    "stability_steps", "stability_violations", "crash",
+    "lower_bound_s", "bound_s", "ratio", "failures", "last_failure", "loose_settle_time_s",
+    "tail_error_p95", "stability_steps", "stability_violations", "crash",
 )
 """Columns of runs.csv with results, in order; ``solve_ms_...`` depend on the machine's load."""
 PUSH_RESULT_COLUMNS = ("recover_s",)
@@ -96,7 +96,7 @@ def _is_valid(name: str, value: Any) -> bool:
         return isinstance(value, bool)
     if name in ("strategy", "crash"):
         return isinstance(value, str)
-    if name == "reason":
+    if name in ("reason", "last_failure"):
         return value is None or isinstance(value, str)
     return value is None or (type(value) in (int, float) and math.isfinite(value))
 

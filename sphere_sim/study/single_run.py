@@ -5,7 +5,7 @@
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from functools import lru_cache
 
@@ -14,6 +14,7 @@ import numpy as np
 from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.control.stability import Sample, StabilityMonitor
+from sphere_nmpc.errors import printable_line
 from sphere_nmpc.estimation.rotor_history import enter, knots_of
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.settings import FloorSettings
@@ -22,11 +23,12 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSE, POSITION, Vector
+from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.strategy.contract import Strategy
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.metrics import (
     LOOSELY_SETTLED,
-    errors_to,
     measure,
     measure_along,
     stay_below,
@@ -46,12 +48,15 @@ from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.simulator import Simulator
 from sphere_sim.world.walls import Contact, Walls, walls_of
 
+StrategyMaker = Callable[[ControllerSettings, RobotParameters], Strategy]
+"""Makes the strategy of a run, instead of the one that the settings name."""
+
 _ROUNDING = 1e-9
 
 
 @lru_cache(maxsize=1)
 def floor_of(settings: FloorSettings, radius: float) -> tuple[Floor, Walls | None]:
-    """Return the floor of a sphere of a radius [m] and its walls, the same ones for all runs.
+    """Return the floor of a sphere of a radius [m] and its walls, those before for the same map.
 
     `InvalidMapError` is raised if the map file cannot be used.
     """
@@ -59,20 +64,22 @@ def floor_of(settings: FloorSettings, radius: float) -> tuple[Floor, Walls | Non
     return floor, None if floor.is_empty else walls_of(floor.grid)
 
 
-def prepare(conditions: StudyConditions, scenario: Scenario) -> tuple[Simulator, Controller]:
+def prepare(
+    conditions: StudyConditions, scenario: Scenario, make: StrategyMaker | None = None
+) -> tuple[Simulator, Controller]:
     """Return simulator and controller of a run, with the true robot drawn by the scenario's seed.
 
     An error is raised if the settings do not fit together or the plant's package is missing.
     """
     # Streams 0, 1 and 3 of this seed belong to the simulator.
     rng = np.random.default_rng([scenario.seed, 2])
-    return assemble(
-        conditions, scenario, perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
-    )
+    robot = perturbed(conditions.robot, conditions.perturbation / 100.0, rng)
+    return assemble(conditions, scenario, robot, make)
 
 
 def assemble(
-    conditions: StudyConditions, scenario: Scenario, robot: RobotParameters
+    conditions: StudyConditions, scenario: Scenario, robot: RobotParameters,
+    make: StrategyMaker | None = None,
 ) -> tuple[Simulator, Controller]:
     """Return simulator and controller of a run; the controller has the nominal parameters."""
     settings = conditions.controller
@@ -84,9 +91,10 @@ def assemble(
     disturbances = replace(conditions.disturbances, **scenario.disturbances)
     # The limits of the drives are those of the nominal robot.
     own = conditions.of_plant.for_robot(conditions.robot)
-    floor, walls = floor_of(conditions.floor, conditions.robot.shell_radius)
+    floor, walls = floor_of(scenario.floor(conditions.floor), conditions.robot.shell_radius)
     plant = make_plant(simulation.plant, robot, scenario.start, own, disturbances, walls)
-    controller = Controller(settings, conditions.robot)
+    strategy = None if make is None else make(settings, conditions.robot)
+    controller = Controller(settings, conditions.robot, strategy)
     controller.floor = floor
     imu = conditions.imu if simulation.has_odometry else None
     return Simulator(simulation, robot, plant, imu), controller
@@ -109,12 +117,13 @@ def closed_loop(
     simulator, controller = made or prepare(conditions, scenario)
     return run_closed_loop(
         simulator, controller, course_of(conditions, scenario) if goal is None else goal,
-        conditions.duration, conditions.controller.control_period, output_period,
-        conditions.latency, scenario.push, poses,
+        conditions.duration, output_period, conditions.latency, scenario.push, poses,
     )
 
 
-def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
+def run_scenario(
+    conditions: StudyConditions, scenario: Scenario, make: StrategyMaker | None = None
+) -> RunRecord:
     """Run a scenario and evaluate the run.
 
     A run that crashes is recorded as such, so that the study continues with the others. That the
@@ -123,14 +132,14 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     strategy = conditions.controller.strategy
     try:
         course = course_of(conditions, scenario)
-        simulator, controller = prepare(conditions, scenario)
+        simulator, controller = prepare(conditions, scenario, make)
         poses = None if simulator.imu is None else OdometryPoses(
             simulator, simulator.imu, conditions.odometry, conditions.robot
         )
         made = simulator, controller
         trajectory = closed_loop(conditions, scenario, made, course, poses=poses)
         inputs = followed_inputs(trajectory.holds, conditions.duration)
-        results = _results(trajectory, course.goals[-1], inputs)
+        results = _results(trajectory, inputs)
         results |= _along(trajectory, course, conditions.robot.shell_radius)
         settling = results["settle_time_s"]
         if scenario.push is not None and trajectory.at_push.size and settling is not None:
@@ -146,17 +155,18 @@ def run_scenario(conditions: StudyConditions, scenario: Scenario) -> RunRecord:
     if scenario.follows is None:
         results |= _stability_of(trajectory.decisions, scenario.goal, conditions)
     results = {"strategy": strategy, **results, "failures": controller.failures}
+    if controller.failures:
+        results["last_failure"] = printable_line(controller.last_failure)
     return RunRecord(results, inputs.times, inputs.speeds, trajectory.at_push)
 
 
-def _results(trajectory: Trajectory, goal: Goal, inputs: FirstOrderHold) -> dict[str, Value]:
+def _results(trajectory: Trajectory, inputs: FirstOrderHold) -> dict[str, Value]:
     planned = [d.plan.made.solve_time for d in trajectory.decisions if d.solved and d.is_new]
-    measured = measure(trajectory, goal, np.array(planned))
+    measured = measure(trajectory, trajectory.goal, np.array(planned))
     turned = trajectory.rotor_speeds
     speeds = np.vstack((turned.values, inputs.speeds))
     results = {name: finite(value) for name, value in asdict(measured).items()}
-    errors = errors_to(goal, trajectory.states)[:, 0]
-    stay = stay_below(trajectory.times, errors, LOOSELY_SETTLED)
+    stay = stay_below(trajectory.times, trajectory.errors, LOOSELY_SETTLED)
     if stay is not None:
         results["loose_settle_time_s"] = stay.since
         results["tail_error_p95"] = stay.p95

@@ -37,10 +37,12 @@ Observer = Callable[[RunRecord], None]
 
 @dataclass(frozen=True)
 class Study:
-    """Scenarios, at least one, conditions and folder of a study.
+    """Scenarios, conditions and folder of a study.
 
     Attributes
     ----------
+    scenarios : sequence of Scenario
+        Start and goal of each run, at least one.
     conditions : StudyConditions
         Settings that all runs share; their strategy is the first one.
     folder : Path
@@ -55,13 +57,14 @@ class Study:
     strategies: tuple[str, ...] = ()
 
     def run(
-        self, workers: Workers, best_known: BestKnown | None = None,
+        self, workers: Workers | int = 1, best_known: BestKnown | None = None,
         observer: Observer | None = None,
     ) -> dict[str, dict[str, Any]]:
         """Make the runs that are not recorded yet and write all results.
 
-        Tables are written as soon as all runs are made, and again with the best known times when
-        these are found. A figure that cannot be drawn is a warning.
+        `workers` is also the number of processes; with 1 none is started. Tables are written as
+        soon as all runs are made, and again with the best known times when these are found. A
+        figure that cannot be drawn is a warning.
 
         Returns the summary of each strategy.
         """
@@ -73,6 +76,8 @@ class Study:
         if len(names) > 1:
             self._refuse_other_results(folders.values())
         with contextlib.ExitStack() as exits:
+            if isinstance(workers, int):
+                workers = exits.enter_context(Workers(workers))
             journals = {}
             for name, folder in folders.items():
                 conditions = self._with(name)

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 from sphere_sim.evaluation.metrics import SETTLED_ERROR
 from sphere_sim.output.files import write_atomically
-from sphere_sim.scenario.csv_file import PATH_COLUMN, SEED_COLUMN, STATE_COLUMNS
+from sphere_sim.scenario.csv_file import MAP_COLUMN, PATH_COLUMN, SEED_COLUMN, STATE_COLUMNS
 from sphere_sim.scenario.scenarios import (
     DISTURBANCE_COLUMNS,
     PATH_SPEED_COLUMN,
@@ -34,6 +34,8 @@ from sphere_sim.study.record import (
     finite,
 )
 
+KIND_COLUMN = "kind"
+"""Column of scenario files by which a summary has scores."""
 Results = Sequence[dict[str, Value]]
 """Results of each run by the names of `RESULT_COLUMNS`."""
 
@@ -101,6 +103,7 @@ def summarise(scenarios: Sequence[Scenario], results: Results) -> dict[str, Any]
             if not found["settled"]
         ],
         **_contacts(results),
+        "scores": scores(scenarios, results),
         "timing": {
             "solve_ms_p50": _distribution(column(results, "solve_ms_p50"))["median"],
             "solve_ms_p99": _largest(column(results, "solve_ms_p99")),
@@ -138,6 +141,31 @@ def _beyond_lower_bound(results: Results) -> Vector:
         [time - bound for time, bound in pairs
          if isinstance(time, float) and isinstance(bound, float)]
     )
+
+
+def scores(scenarios: Sequence[Scenario], results: Results) -> dict[str, dict[str, Any]]:
+    """Return the scores of each kind in a column of the scenarios, and of all runs.
+
+    That of a run is best known over settling time, at most 1; it is 0 for one that has not
+    settled or has touched a wall. Without that column or best known times there are none.
+    """
+    kinds: dict[str, list[dict[str, Value]]] = {}
+    for scenario, found in zip(scenarios, results, strict=True):
+        if KIND_COLUMN in scenario.extra and "bound_s" in found:
+            kinds.setdefault(scenario.extra[KIND_COLUMN], []).append(found)
+    runs = [found for of_kind in kinds.values() for found in of_kind]
+    return {kind: _score(of_kind) for kind, of_kind in (*kinds.items(), ("all", runs)) if of_kind}
+
+
+def _score(results: Results) -> dict[str, Any]:
+    clear = column([found for found in results if not found.get("contacts")], "ratio")
+    return {
+        "runs": len(results),
+        "settled": sum(bool(found["settled"]) for found in results),
+        "score": float(np.sum(1.0 / np.maximum(clear, 1.0))) / len(results),
+        "ratio": _distribution(column(results, "ratio")),
+        "contacts": int(np.sum(column(results, "contacts"))),
+    }
 
 
 def headline(summary: dict[str, Any]) -> str:
@@ -214,6 +242,7 @@ def write_runs(
     present = {name for scenario in scenarios for name in scenario.optional}
     numbers = (*PUSH_COLUMNS, *DISTURBANCE_COLUMNS, PATH_SPEED_COLUMN)
     optional = [PATH_COLUMN] * (PATH_RESULT_COLUMNS[0] in further)
+    optional += [MAP_COLUMN] * any(it.map_file is not None for it in scenarios)
     optional += [name for name in numbers if name in present]
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
@@ -227,9 +256,10 @@ def write_runs(
             ]
             cells.append(scenario.seed)
             given: dict[str, Value] = {**scenario.optional}
-            if scenario.follows is not None:
+            way = None if scenario.follows is None else scenario.follows.file
+            for name, file in ((PATH_COLUMN, way), (MAP_COLUMN, scenario.map_file)):
                 # From where the table is, as it is a scenario file itself.
-                given[PATH_COLUMN] = os.path.relpath(scenario.follows.file, path.parent)
+                given[name] = None if file is None else os.path.relpath(file, path.parent)
             cells += [given.get(name) for name in optional]
             cells += [scenario.extra.get(name, "") for name in extras]
             cells += [found.get(name) for name in result_names]

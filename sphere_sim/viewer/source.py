@@ -15,7 +15,7 @@ from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, POSE_SIZE, Vector
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_sim.evaluation.metrics import errors_to
 from sphere_sim.recording.message_fields import HOLDING, ReportedSolve
 

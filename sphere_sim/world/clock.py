@@ -4,7 +4,7 @@
 
 import math
 
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 _CATCH_UP_SPACING = 0.5
 """Smallest spacing of two instants while catching up, over the nominal one."""

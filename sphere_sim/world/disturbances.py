@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 
 from sphere_nmpc.model.disturbance import GRAVITY
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 
 @dataclass(frozen=True)
 class Push:
     """Push at the centre of the sphere."""
 
-    time: float  # from the start of the run [s]
-    impulse: tuple[float, float]  # x, y [N s; world frame]
+    time: float  #: Time from the start of the run [s].
+    impulse: tuple[float, float]  #: Impulse x, y [N s; world frame].
 
 
 @dataclass(frozen=True)

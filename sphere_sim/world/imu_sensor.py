@@ -11,7 +11,7 @@ import numpy as np
 from sphere_nmpc.estimation.imu import ImuSettings
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector
-from sphere_nmpc.quantity import NANOSECONDS, quantity
+from sphere_nmpc.quantities import NANOSECONDS, quantity
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.sampled_sensor import SampledSensor
 

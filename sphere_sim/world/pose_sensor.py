@@ -6,7 +6,7 @@ import numpy as np
 
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.sampled_sensor import SampledSensor
 from sphere_sim.world.settings import SimulatorSettings

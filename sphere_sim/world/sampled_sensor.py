@@ -5,7 +5,7 @@
 from collections import deque
 from typing import Generic, TypeVar
 
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 R = TypeVar("R")
 

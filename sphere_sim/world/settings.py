@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from sphere_nmpc.foreign.entry_table import Entry, EntryTable
 from sphere_nmpc.model.state import DEFAULT_START
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 PLANTS = EntryTable(
     "plant", "sphere_nmpc.plants", "sphere_sim.world.plant.contract:Plant",

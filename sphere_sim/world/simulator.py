@@ -6,7 +6,7 @@ import numpy as np
 
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector, as_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_sim.world.drives import CommandFollower
 from sphere_sim.world.imu_sensor import ImuReading, ImuSensor, SimulatedImuSettings
 from sphere_sim.world.plant.contract import Plant
@@ -21,16 +21,25 @@ _LONGEST_STEP = 10_000_000
 class Simulator:
     """Simulation of a plant on a clock of whole nanoseconds, with ROS and without.
 
-    `robot` has the true parameters. The plant is by default the one named in `settings`, with
-    default settings of its own. Without settings of an IMU there is none.
+    Parameters
+    ----------
+    settings : SimulatorSettings, optional
+        Plant, start, drives, noise and pose sensor.
+    robot : RobotParameters, optional
+        The true parameters; defaults to those of Table 1.
+    plant : Plant, optional
+        Defaults to the one named in `settings`, with default settings of its own.
+    imu : SimulatedImuSettings, optional
+        Mounting and errors of an IMU; without them there is none.
     """
 
     def __init__(
-        self, settings: SimulatorSettings, robot: RobotParameters, plant: Plant | None = None,
-        imu: SimulatedImuSettings | None = None,
+        self, settings: SimulatorSettings | None = None, robot: RobotParameters | None = None,
+        plant: Plant | None = None, imu: SimulatedImuSettings | None = None,
     ) -> None:
-        self.settings = settings
+        self.settings = settings = settings or SimulatorSettings()
         """The present settings."""
+        robot = robot or RobotParameters()
         start = as_state(settings.initial_state)
         self.plant = make_plant(settings.plant, robot, start) if plant is None else plant
         self.follower = CommandFollower(

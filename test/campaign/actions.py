@@ -30,7 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.state import POSITION
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.cdr import WORLD_FRAME, Pose, read
 from sphere_nmpc.ros.cdr_messages import pose_message
 from sphere_nmpc.ros.guarded_node import LATCHED

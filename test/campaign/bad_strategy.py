@@ -18,7 +18,7 @@ import numpy as np
 
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.settings import STRATEGIES
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan
 
 _LATENESS = 0.4
 """Additional wall time of a late plan [s]."""
@@ -64,7 +64,7 @@ def _claimed(situation: Any, plan: Plan) -> Plan:
     times = situation.time + np.array([0.0, 1.0, 3.0])
     speeds = np.vstack((situation.speeds, np.full((2, 2), 50.0)))
     states = np.tile(situation.state, (3, 1))
-    return Plan(PlanStatus.SOLVED, FirstOrderHold(times, speeds), states, clearance=1.0)
+    return Plan(FirstOrderHold(times, speeds), states, clearance=1.0)
 
 
 PLANS: dict[str, Callable[[Any, Plan], Any]] = {

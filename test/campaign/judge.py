@@ -19,7 +19,7 @@ from sphere_nmpc.floor.floor import exact_distance
 from sphere_nmpc.floor.occupancy import Grid, InvalidMapError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import POSITION, Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.cdr import (
     WORLD_FRAME,
     Numbers,

@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.process.child import module_command
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.messages import pose_to_ros
 from sphere_nmpc.ros.startup import start_ros
 from sphere_sim.ros.session.process_set import ProcessSet, parameter_options, verb_command

@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool
 
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 
 _JUMPS = (1.0, 10.0, 60.0, 600.0, 3600.0, 1e9)
 """Jumps of the clock [s]."""

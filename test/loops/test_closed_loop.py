@@ -38,10 +38,7 @@ def of_case(
 
 
 def trajectory(loop: SampledLoop, duration: float, latency: float = 0.0) -> Trajectory:
-    return run_closed_loop(
-        loop.simulator, loop.controller, loop.goal, duration, loop.settings.control_period, 0.05,
-        latency,
-    )
+    return run_closed_loop(loop.simulator, loop.controller, loop.goal, duration, 0.05, latency)
 
 
 @pytest.mark.parametrize(("case", "seen"), [(1, 12.3), (2, 12.6), (3, 6.6), (4, 8.6)])

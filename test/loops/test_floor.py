@@ -32,6 +32,7 @@ from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.time_optimal.search_task import SearchTask
+from sphere_sim.study.suite import PolicyStrategy
 
 pytestmark = pytest.mark.slow
 
@@ -346,7 +347,7 @@ def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:
 def along_x(way: float, status: PlanStatus = PlanStatus.SOLVED) -> Given:
     """Return a strategy that always plans to roll by a way along x [m]."""
     return Given(lambda now: Plan(
-        status, rolled(way).delayed(now.time), np.vstack((now.state, now.state))
+        rolled(way).delayed(now.time), np.vstack((now.state, now.state)), status
     ))
 
 
@@ -368,3 +369,14 @@ def test_a_failing_strategy_stops_before_a_new_obstacle() -> None:
     loop.run(2.0)
     assert loop.controller.failures
     assert clearance(loop) > 0.0
+
+
+@pytest.mark.parametrize("start", [1.0, 1.1, 1.2, 1.3])
+def test_plan_that_ends_in_motion_is_certified_with_the_stop_that_is_sent_with_it(start) -> None:
+    floor, settings = floor_of(CLOSED), ControllerSettings(sample_period=0.5)
+    policy = PolicyStrategy(lambda now: [0.0, -90.0], settings, RobotParameters())
+    here, goal = pose(start, 2.0), pose(2.0, 2.0)
+    loop = SampledLoop(here, settings, goal=goal, floor=floor, strategy=policy)
+    loop.run(6.0)
+    assert loop.places[-1, 0] > start + 0.2
+    assert least_distance(floor, loop.places) > RADIUS + floor.clearance - 1e-6

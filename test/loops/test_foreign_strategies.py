@@ -214,8 +214,7 @@ class OtherHold(FirstOrderHold):
 
 def many(situation: Situation) -> Plan:
     times = situation.time + np.linspace(0.0, 3.0, MOST_KNOTS + 1)
-    return Plan(PlanStatus.SOLVED, FirstOrderHold(times, np.zeros((times.size, 2))),
-                situation.state[None, :])
+    return Plan(FirstOrderHold(times, np.zeros((times.size, 2))), situation.state[None, :])
 
 
 WRONG = {

@@ -99,7 +99,7 @@ def test_value_function_of_case_1_falls_as_eq_42_says_though_the_error_does_not(
     scenario, robot = PAPER_CASES[1], RobotParameters()
     settings = ControllerSettings(strategy="paper")
     simulator = Simulator(SimulatorSettings(initial_state=tuple(scenario.start)), robot)
-    run = run_closed_loop(simulator, Controller(settings, robot), scenario.goal, 16.0, 0.5, 0.5)
+    run = run_closed_loop(simulator, Controller(settings, robot), scenario.goal, 16.0, 0.5)
     monitor = StabilityMonitor()
     for k, (decision, state) in enumerate(zip(run.decisions, run.states, strict=False)):
         report = monitor.update(Sample(

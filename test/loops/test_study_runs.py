@@ -26,8 +26,10 @@ from sphere_sim.cli.main import main as command
 from sphere_sim.evaluation.closed_loop import Trajectory, run_closed_loop
 from sphere_sim.evaluation.odometry_poses import OdometryPoses
 from sphere_sim.output.files import ResultFolderError
+from sphere_sim.scenario.csv_file import read_scenarios
 from sphere_sim.scenario.scenarios import GivenPath, Push, Scenario, draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
+from sphere_sim.study.journal import fingerprint
 from sphere_sim.study.record import (
     FLOOR_RESULT_COLUMNS,
     ODOMETRY_RESULT_COLUMNS,
@@ -47,13 +49,9 @@ PUSHED = replace(SCENARIO, push=Push(1.234567891, (0.3, -0.4)))
 SHORT = StudyConditions(duration=4.0)
 
 
-def run(
-    conditions: StudyConditions, scenario: Scenario, duration: float, period: float
-) -> Trajectory:
+def run(conditions: StudyConditions, scenario: Scenario, duration: float) -> Trajectory:
     simulator, controller = prepare(conditions, scenario)
-    return run_closed_loop(
-        simulator, controller, scenario.goal, duration, period, push=scenario.push
-    )
+    return run_closed_loop(simulator, controller, scenario.goal, duration, push=scenario.push)
 
 
 @pytest.mark.parametrize("plant", ["rolling", "rigid_body"])
@@ -61,7 +59,7 @@ def test_push_acts_at_its_time_to_the_nanosecond(plant) -> None:
     if plant == "rigid_body":
         pytest.importorskip("mujoco")
     conditions = SHORT.with_settings([("plant", plant)])
-    still, pushed = (run(conditions, scenario, 2.0, 0.5) for scenario in (SCENARIO, PUSHED))
+    still, pushed = (run(conditions, scenario, 2.0) for scenario in (SCENARIO, PUSHED))
     assert not still.at_push.size
     before = pushed.times < 1.234
     # The contact is integrated in other steps up to the push, which is between two samples.
@@ -96,7 +94,7 @@ def test_run_along_a_closed_path_is_settled_once_it_has_followed_it(speed) -> No
 
 def test_recorded_inputs_reproduce_speeds_and_states() -> None:
     conditions = SHORT.with_settings([("control_rate", "7.0")])
-    trajectory = run(conditions, SCENARIO, 4.0, conditions.controller.control_period)
+    trajectory = run(conditions, SCENARIO, 4.0)
     inputs = followed_inputs(trajectory.holds, 4.0)
     assert (inputs.start, inputs.end) == (0.0, 4.0)
     for i in range(2):
@@ -230,7 +228,7 @@ def test_runs_on_an_odometry_are_judged_on_the_true_state() -> None:
     assert abs(results["final_position_error_m"] - off) < 5e-3
     with pytest.raises(InvalidParameterError, match="latency"):
         simulator, controller = prepare(conditions, SCENARIO)
-        run_closed_loop(simulator, controller, SCENARIO.goal, 1.0, 0.25, latency=0.1, poses=list)
+        run_closed_loop(simulator, controller, SCENARIO.goal, 1.0, latency=0.1, poses=list)
 
 
 def test_deviations_that_odometry_and_controller_state_cover_their_errors() -> None:
@@ -240,7 +238,7 @@ def test_deviations_that_odometry_and_controller_state_cover_their_errors() -> N
     for scenario in draw_scenarios(4, 9):
         simulator, controller = prepare(conditions, scenario)
         poses = OdometryPoses(simulator, simulator.imu, conditions.odometry, conditions.robot)
-        run = run_closed_loop(simulator, controller, scenario.goal, 3.0, 0.25, poses=poses)
+        run = run_closed_loop(simulator, controller, scenario.goal, 3.0, poses=poses)
         poses()
         squares.append(error_of(poses.odometry, simulator.plant.state)[1])
         decision, spread = run.decisions[-1], poses.odometry.estimate.covariance[:2, :2]
@@ -303,6 +301,22 @@ def test_study_continues_only_on_the_same_map(map_file, tmp_path) -> None:
     floor_of.cache_clear()
     with Workers() as workers, pytest.raises(ResultFolderError, match="another map"):
         study.run(workers)
+
+
+def test_each_run_has_its_own_map_also_when_it_is_run_again(map_file, tmp_path) -> None:
+    scenarios, conditions = [ACROSS, replace(ACROSS, map_file=map_file)], StudyConditions(0.5)
+    tables = []
+    for name in ("in/first", "in/other/second"):
+        Study(scenarios, conditions, tmp_path / name).run()
+        with (tmp_path / name / "runs.csv").open(newline="") as file:
+            tables.append(list(csv.DictReader(file)))
+        scenarios = read_scenarios(tmp_path / name / "runs.csv")
+    for free, walled in tables:
+        assert (free["map"], free["contacts"], free["reason"]) == ("", "", "")
+        assert walled["contacts"] == "0" and walled["reason"].startswith("the goal: no way")
+    assert [row["map"] for _, row in tables] == ["../../room.yaml", "../../../room.yaml"]
+    orders = [scenarios[:1], scenarios, scenarios[::-1]]
+    assert len({fingerprint(conditions, order).get("map") for order in orders}) == 3
 
 
 def test_drawn_places_are_uniform_over_what_is_clear() -> None:

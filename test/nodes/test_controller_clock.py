@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 from ros_graph import values_of
 from rosgraph_msgs.msg import Clock
 
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.cdr import hold_and_stamp
 from sphere_nmpc.ros.controller.command_sender import CommandSender
 from sphere_nmpc.ros.messages import stamp_to_ros

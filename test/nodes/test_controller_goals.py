@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.occupancy import Grid
 from sphere_nmpc.model.state import upright_state
-from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.quantities import stamp_text
 from sphere_nmpc.ros.guarded_node import LATCHED
 from sphere_nmpc.ros.messages import pose_from_ros, pose_to_ros, stamp_from_ros
 

@@ -10,11 +10,13 @@ from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 from type_description_interfaces.srv import GetTypeDescription
 
 from sphere_nmpc.errors import SphereNmpcError
+from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.guarded_node import GuardedNode, spin_for
 from sphere_nmpc.ros.lifetime import _make_executor
 
@@ -176,3 +178,14 @@ def test_message_that_is_too_large_is_refused_before_it_is_read(graph, wanting, 
     graph.until(lambda: wanting.heard == [2])
     (line,) = (line for line in warnings(capfd) if line.startswith("small refused"))
     assert line == "small refused: small: given 1076 bytes, expected at most a short name"
+
+
+def test_node_whose_constructor_failed_can_be_destroyed(graph, monkeypatch) -> None:
+    """As rclpy does from Kilted on when its context ends."""
+    made, make = [], GuardedNode.__init__
+    monkeypatch.setattr(
+        GuardedNode, "__init__", lambda node, *given: (made.append(node), make(node, *given))[1]
+    )
+    with pytest.raises(SphereNmpcError, match="horizon: given 0"):
+        ControllerNode([RosParameter("horizon", value=0)])
+    made[0].destroy_node()

@@ -11,7 +11,7 @@ from patience import until
 from ros_graph import running_graph, started
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.ros.controller.node import ControllerNode
 from sphere_nmpc.ros.odometry.node import OdometryNode
 from sphere_sim.cli.main import main

@@ -19,7 +19,7 @@ from parameter_tables import NODES, PARTS
 from patience import until
 from ros_graph import started as running
 
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_sim.output.error_text import EXTRAS
 
 pytestmark = pytest.mark.slow

@@ -28,6 +28,7 @@ from sphere_nmpc.ros.network import (
     check_shared_memory,
     network_addresses,
     network_reach,
+    profiles_variable,
     reaches_other_machines,
     use_loopback_only,
     wait_for_network,
@@ -41,7 +42,9 @@ READING = ("--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search")
 NOWHERE = "/proc/nonexistent"
 """Folder that not even root can create."""
 PEERS = {"ROS_STATIC_PEERS": "10.0.0.7"}
-PROFILES = Path(__file__).parents[2] / "config" / "lossy_network.xml"
+ROOT = Path(__file__).parents[2]
+OLD, NEW = ("", "FASTRTPS"), ("_fast_dds_3", "FASTDDS")
+"""Parts of the names of profiles and variables, up to version 2 and from version 3 on."""
 RUN = (sys.executable, "-c", "import sys; from sphere_sim.cli.main import main; sys.exit(main())")
 
 
@@ -232,11 +235,25 @@ def test_nodes_open_ports_on_the_loopback_only(tmp_path) -> None:
         stop_together(nodes)
 
 
-def test_profiles_for_lossy_networks_are_understood_by_fast_dds() -> None:
-    environment = {**os.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILES)}
+@pytest.mark.parametrize("name", ["config/lossy_network", "sphere_nmpc/ros/loopback"])
+def test_profiles_are_understood_by_fast_dds(name) -> None:
+    used = profiles_variable()
+    end, _ = NEW if NEW[1] in used else OLD
     done = subprocess.run(
-        [*RUN, "goal", "1", "0", "--timeout", "0"], env=environment, capture_output=True,
-        text=True, timeout=PATIENCE, check=False,
+        [*RUN, "goal", "1", "0", "--timeout", "0"], capture_output=True, text=True,
+        env=os.environ | {used: str(ROOT / f"{name}{end}.xml")}, timeout=PATIENCE, check=False,
     )
-    assert "no controller was ready" in done.stderr
+    assert "no controller was ready" in done.stderr and "XMLPARSER" not in done.stderr
     assert not done.stdout, "errors in profiles are printed there"
+    old, new = ((ROOT / f"{name}{end}.xml").read_text().split() for end, _ in (OLD, NEW))
+    assert len([*filter(new.__contains__, old)]) >= len(old) - 4, "settings are the same"
+
+
+def test_the_profiles_are_those_of_the_installed_fast_dds(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "prefix", "/nonexistent")
+    for made, (end, variable) in (([], OLD), (["lib"], OLD), (["lib", "libfastdds.so"], NEW)):
+        tmp_path.joinpath(*made).mkdir(exist_ok=True)
+        environment = {"AMENT_PREFIX_PATH": f"/absent:{tmp_path}"}
+        use_loopback_only(environment)
+        profiles = {n: Path(v).name for n, v in environment.items() if n.startswith("FAST")}
+        assert profiles == {f"{variable}_DEFAULT_PROFILES_FILE": f"loopback{end}.xml"}

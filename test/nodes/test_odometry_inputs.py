@@ -10,7 +10,7 @@ from robot_at_rest import STEP, RobotAtRest, exact
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.estimation import mounting
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import ERROR, OK
 from sphere_nmpc.ros.odometry.node import OdometryNode
 

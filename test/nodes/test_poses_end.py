@@ -11,7 +11,7 @@ from ros_graph import Graph, values_of
 from std_msgs.msg import Bool
 
 from sphere_nmpc.model.state import upright_state
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.cdr_messages import clock_message
 from sphere_nmpc.ros.controller.node import ControllerNode

@@ -6,6 +6,7 @@ import json
 import signal
 import sys
 from collections import Counter
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Odometry
 from patience import PATIENCE
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -23,7 +25,9 @@ from verb_process import start
 
 from sphere_nmpc.process.child import Child
 from sphere_nmpc.ros.guarded_node import LATCHED
+from sphere_sim.ros.recorder.frames import TRANSFORMS
 from sphere_sim.ros.recorder.node import RecorderNode, _message_class
+from sphere_sim.ros.simulator.node import SimulatorNode
 
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -157,6 +161,30 @@ def test_type_of_a_recorded_topic_is_the_known_or_the_first_one(graph, tmp_path)
     assert sorted(fault.name for fault in node._monitor.faults) == [
         "other type on /aside/any", "other type on /pose",
     ]
+
+
+@pytest.mark.skipif(find_spec("tf2_msgs") is not None, reason="other nodes publish /tf then")
+def test_each_bag_has_the_model_and_the_transforms_however_late_it_begins(graph, tmp_path) -> None:
+    graph.start(SimulatorNode, **{"robot.shell_radius": 0.25, "imu.position": [0.1, 0.0, 0.0]})
+    node = graph.start(RecorderNode, output=str(tmp_path / "bag"), use_sim_time=True)
+    for bag in (tmp_path / "bag", tmp_path / "bag_1"):
+        graph.until(lambda: node._session._bag.message_count > 50)
+        node._stop()
+        assert counted(bag)["/robot_description"] == counted(bag)["/tf_static"] == 1
+        frames = {}
+        with AnyReader([bag]) as reader:
+            kept = {it.topic for it in reader.connections for qos in it.ext.offered_qos_profiles
+                    if qos.durability.name == "TRANSIENT_LOCAL"}
+            for connection, _, data in reader.messages():
+                if connection.msgtype == TRANSFORMS:
+                    message = reader.deserialize(data, connection.msgtype)
+                    frames |= {it.child_frame_id: it for it in message.transforms}
+        assert kept >= {"/robot_description", "/tf_static"}
+        assert frames["base_link"].transform.translation.z == 0.25
+        assert frames["base_link"].header.frame_id == "world"
+        assert frames["imu"].transform.translation.x == 0.1
+        assert frames["rotor_1"].header.frame_id == "base_link" and "shell" in frames
+        node._start()
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_lockstep_gives_the_run_without_ros_at_any_pace(graph, strategy, pace) -
     robot, assumed = RobotParameters(), ControllerSettings(strategy=strategy)
     alone = run_closed_loop(
         Simulator(SimulatorSettings(**NOISY), robot), Controller(assumed, robot), CASE.goal,
-        COMPARED_FOR, assumed.control_period, output_period=assumed.control_period,
+        COMPARED_FOR, output_period=assumed.control_period,
     )
     poses = graph.collect(PoseStamped, "pose")
     goals = graph.collect(PoseStamped, "controller/active_goal", LATCHED)

@@ -28,16 +28,18 @@ from document_commands import DOCUMENTS, Command, all_commands, commands
 from documented_topics import types_of
 from launch_stand_in import LAUNCH, ROOT, started
 from parameter_tables import NODES, OF_ROBOT, PARTS
+from rosbags.rosbag2 import Reader
 
 from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.foreign.entry_table import Entry
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.settings import FrameSettings
 from sphere_nmpc.settings import STRATEGIES, StrategyEntry
 from sphere_sim.cli import benchmark, demo, estimate, identify, report, study, viewer
 from sphere_sim.cli.main import VERBS
+from sphere_sim.recording.run_reader import read_run
 from sphere_sim.ros.session import goal_command
 from sphere_sim.ros.simulator import robot_description
 from sphere_sim.world.settings import PLANTS
@@ -78,8 +80,8 @@ ASSIGNING = ("-p", "--param", "-r", "--remap")
 OF_ROS = ("--params-file", "--enclave", "--log-level")
 """Arguments of ROS with name:=value, and others."""
 NOT_CHECKED = (
-    "security", "pkg prefix", "topic list", "node list", "run robot_state_publisher",
-    "run controller_manager", "run mujoco_ros2_control",
+    "security", "pkg prefix", "topic list", "node list", "bag info", "bag play",
+    "run robot_state_publisher", "run controller_manager", "run mujoco_ros2_control",
 )
 """Commands of ros2 whose arguments do not depend on the package, and of packages that are not
 there."""
@@ -331,6 +333,19 @@ def test_wrong_command_is_refused(line, wrong) -> None:
     (command,) = commands("a.md", f"```\n{line}\n```\n")
     with pytest.raises(REFUSALS, match=wrong):
         check(command)
+
+
+def test_sample_bag_is_small_and_has_a_run_that_arrives_and_what_draws_it() -> None:
+    sample = ROOT / "docs" / "sample"
+    assert sum(file.stat().st_size for file in sample.iterdir()) < 300_000
+    run = read_run(sample)
+    assert run.notes == () and run.metrics().settled
+    with Reader(sample) as reader:
+        found = {it.topic: it.msgcount for it in reader.connections}
+    page = (ROOT / "docs" / "open_a_bag.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`/.*?) \|", page, re.MULTILINE)
+    listed = {topic for row in rows for topic in re.findall("`(.+?)`", row)}
+    assert len(listed) > 10 and all(found[topic] for topic in listed)
 
 
 def test_documents_have_each_kind_of_condition_with_its_level() -> None:

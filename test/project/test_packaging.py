@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from sphere_nmpc.solver.native.codegen import generated
 from sphere_sim.cli import main as cli
@@ -115,7 +116,7 @@ def test_colcon_installs_executables_and_shared_files(
     run(COLCON, *logs, "build", *bases, *option, cwd=tree, env=environment)
     # A linked installation has it in the source tree.
     built = tree if option else workspace / "install"
-    assert list(built.rglob("solver.so"))
+    assert list(built.rglob("solver.so")) and list(built.rglob("point-v1/scenarios.csv"))
     prefix = workspace / "install" / "sphere_nmpc"
     for name in ("sphere_nmpc", *cli.VERBS):
         assert os.access(prefix / "lib" / "sphere_nmpc" / name, os.X_OK)
@@ -181,13 +182,48 @@ def test_package_xml_setup_and_citation_agree() -> None:
     assert " ".join(paper["title"].split()) in readme
 
 
+def test_platforms_that_are_claimed_are_those_of_the_table_of_what_was_run() -> None:
+    _, _, table = (ROOT / "QUALITY_DECLARATION.md").read_text().partition("\n## What was run\n")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[6:]]
+    was_run = [row for row in rows if not row[-1].startswith("not run")]
+    classifiers = metadata.metadata("sphere_nmpc").get_all("Classifier") or []
+    versions = [c.split(" :: ")[2] for c in classifiers if "Python :: 3." in c]
+    assert sorted({row[0] for row in was_run}) == sorted(versions)
+    wheels = {r.split("-")[1] for r in metadata.requires("sphere_nmpc") or [] if "-rclpy" in r}
+    assert {row[2] for row in was_run} == {f"{name.title()}, wheels" for name in wheels}
+
+
+def pins(name: str) -> dict[str, str]:
+    """Return the versions in a file of requirements by names, without the files it includes."""
+    lines = (ROOT / "requirements" / name).read_text().splitlines()
+    found = [Requirement(line) for line in lines if line[:1] not in ("", "#", "-")]
+    return {canonicalize_name(pin.name): next(iter(pin.specifier)).version for pin in found}
+
+
+def test_demo_has_all_that_its_extras_require_and_nothing_else() -> None:
+    # SciPy is for maps, empy for the generation of code from messages.
+    left_out = {"scipy", "empy"}
+    todo, seen = [Requirement("sphere_nmpc[ros,record,sim,viewer]")], set()
+    while todo:
+        wanted = todo.pop()
+        name = canonicalize_name(wanted.name)
+        for extra in {"", *wanted.extras} if name not in left_out else ():
+            if (name, extra) not in seen:
+                seen.add((name, extra))
+                todo += [it for it in map(Requirement, metadata.requires(name) or [])
+                         if it.marker is None or it.marker.evaluate({"extra": extra})]
+    needed = {name for name, _ in seen} - {"sphere-nmpc"}
+    assert pins("demo.txt").keys() == needed | {"setuptools"}
+    assert not pins("demo.txt").keys() & pins("lock.txt").keys()
+
+
 def test_the_package_requires_numpy_only_and_the_lock_satisfies_every_extra() -> None:
-    requirements = [*map(Requirement, metadata.requires("sphere_nmpc"))]
+    of_all = (r for r in metadata.requires("sphere_nmpc") if "ros-kilted-" not in r)
+    requirements = [*map(Requirement, of_all)]
     core = {r.name for r in requirements if "extra" not in str(r.marker)}
     assert core == {"numpy"}
-    lines = (ROOT / "requirements" / "lock.txt").read_text().splitlines()
-    pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
-    version = {pin.name: next(iter(pin.specifier)).version for pin in pins}
+    version = pins("demo.txt") | pins("lock.txt")
+    assert "-r demo.txt" in (ROOT / "requirements" / "lock.txt").read_text()
     for requirement in requirements:
-        assert requirement.name in version
-        assert requirement.specifier.contains(version[requirement.name]), requirement
+        found = version[canonicalize_name(requirement.name)]
+        assert requirement.specifier.contains(found), requirement

@@ -37,13 +37,12 @@ from sphere_nmpc.floor.settings import FloorSettings
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import upright_state
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.ros.cdr import Clock
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_sim.evaluation.metrics import measure_along
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.conditions import StudyConditions
-from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 from sphere_sim.world.walls import Walls
 
@@ -242,9 +241,7 @@ def test_example_arrives_and_prints_what_the_tutorial_says(name, arrival, number
 def test_plant_of_the_example_moves_as_the_ideal_one_where_its_lag_is_short() -> None:
     example = runpy.run_path(str(EXAMPLES / "own_plant.py"))
     robot, start = RobotParameters(), example["START"]
-    lagging = example["Lagging"](
-        robot, start, DisturbanceSettings(), None, example["LaggingSettings"](lag=1e-3)
-    )
+    lagging = example["Lagging"](robot, start, example["LaggingSettings"](lag=1e-3))
     rolling = RollingPlant(robot, start)
     for plant in (lagging, rolling):
         plant.tilt(0.02, 0.5)

@@ -11,7 +11,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan
 
 
 class Given:
@@ -38,7 +38,7 @@ def plan_of(situation: Situation, gaps: Vector, speeds: Vector, **values: Any) -
     times = situation.time + np.cumsum([0.0, *gaps])
     hold = FirstOrderHold(times, np.vstack((situation.speeds, speeds)))
     states = np.tile(situation.state, (times.size, 1))
-    return Plan(**{"status": PlanStatus.SOLVED, "hold": hold, "states": states, **values})
+    return Plan(**{"hold": hold, "states": states, **values})
 
 
 class Standing(Given):

@@ -37,7 +37,7 @@ FLOORS = {
         ("floor",),
         ("solver", "settings"),
         ("model", "worker"),
-        ("quantity", "process"),
+        ("quantities", "process"),
         ("foreign", "reporting"),
         ("errors",),
     ),

@@ -106,6 +106,8 @@ class NavigationClient:
             goal.behavior_tree = tree
         if name == "navigate_to_pose":
             goal.pose = poses[0]
+        elif hasattr(goal.poses, "goals"):  # newer versions
+            goal.poses.goals = list(poses)
         else:
             goal.poses = list(poses)
         sent, due = Sent(), 0.0

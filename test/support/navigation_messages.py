@@ -16,10 +16,17 @@ import sys
 import sysconfig
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
 
 PACKAGE = "nav2_msgs"
+JAZZY = metadata.version("rclpy").startswith("7.")
+"""Whether the types are those of Jazzy, otherwise those of Kilted."""
+MISSED = ("index", "goal") if JAZZY else ("waypoint_index", "waypoint_pose")
+"""Names of fields of a waypoint that was missed."""
 _RESULT = ("uint16 error_code", "string error_msg")
+_UNKNOWN = () if JAZZY else ("uint16 UNKNOWN=9000",)
+_STATUSES = () if JAZZY else (f"{PACKAGE}/WaypointStatus[] waypoint_statuses",)
 _FEEDBACK = (
     "geometry_msgs/PoseStamped current_pose", "builtin_interfaces/Duration navigation_time",
     "builtin_interfaces/Duration estimated_time_remaining", "int16 number_of_recoveries",
@@ -27,16 +34,19 @@ _FEEDBACK = (
 )
 FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
     "NavigateToPose.action": (
-        ("geometry_msgs/PoseStamped pose", "string behavior_tree"), _RESULT, _FEEDBACK,
+        ("geometry_msgs/PoseStamped pose", "string behavior_tree"), (*_UNKNOWN, *_RESULT),
+        _FEEDBACK,
     ),
     "NavigateThroughPoses.action": (
-        ("geometry_msgs/PoseStamped[] poses", "string behavior_tree"), _RESULT,
-        (*_FEEDBACK, "int16 number_of_poses_remaining"),
+        ("geometry_msgs/PoseStamped[] poses" if JAZZY else "nav_msgs/Goals poses",
+         "string behavior_tree"),
+        (*_UNKNOWN, *_RESULT, *_STATUSES),
+        (*_FEEDBACK, "int16 number_of_poses_remaining", *_STATUSES),
     ),
     "FollowWaypoints.action": (
         ("uint32 number_of_loops", "uint32 goal_index 0", "geometry_msgs/PoseStamped[] poses"),
-        ("uint16 NONE=0", "uint16 UNKNOWN=600", f"{PACKAGE}/MissedWaypoint[] missed_waypoints",
-         *_RESULT),
+        ("uint16 NONE=0", "uint16 UNKNOWN=600", *_RESULT,
+         f"{PACKAGE}/{'MissedWaypoint' if JAZZY else 'WaypointStatus'}[] missed_waypoints"),
         ("uint32 current_waypoint",),
     ),
     "FollowPath.action": (
@@ -62,9 +72,12 @@ FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("uint8 RESULT_SUCCESS=0", "uint8 RESULT_UNDEFINED_FAILURE=255",
          "nav_msgs/OccupancyGrid map", "uint8 result"),
     ),
-    "MissedWaypoint.msg": (
+    **({"MissedWaypoint.msg": (
         ("uint32 index", "geometry_msgs/PoseStamped goal", "uint16 error_code"),
-    ),
+    )} if JAZZY else {"WaypointStatus.msg": (
+        ("uint8 PENDING=0", "uint8 COMPLETED=1", "uint8 FAILED=3", "uint8 waypoint_status",
+         "uint32 waypoint_index", "geometry_msgs/PoseStamped waypoint_pose", *_RESULT),
+    )}),
     "Costmap.msg": (
         ("std_msgs/Header header", f"{PACKAGE}/CostmapMetaData metadata", "uint8[] data"),
     ),
@@ -74,7 +87,7 @@ FIELDS: dict[str, tuple[tuple[str, ...], ...]] = {
          "geometry_msgs/Pose origin"),
     ),
 }
-"""Fields of each part of the types, as in Jazzy, which are some of those of nav2_msgs."""
+"""Fields of each part of the types, which are some of those of nav2_msgs."""
 _USED = (
     "builtin_interfaces", "unique_identifier_msgs", "service_msgs", "std_msgs", "geometry_msgs",
     "nav_msgs", "action_msgs",

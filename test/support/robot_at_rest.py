@@ -9,7 +9,7 @@ from ros_graph import Graph
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Severity
 from sphere_nmpc.ros.cdr_messages import clock_message, imu_message, joint_states_message
 from sphere_nmpc.ros.odometry.node import OdometryNode

@@ -21,7 +21,7 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSE, POSITION, Vector, state_error, without_momentum
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Strategy

@@ -47,17 +47,22 @@ class Odometry:
 
     Parameters
     ----------
-    settings : OdometrySettings
+    settings : Odometry.Settings, optional
         Start, and what is known of robot and fixes.
-    imu : ImuSettings
+    imu : Odometry.Imu, optional
         Mounting and errors of the IMU.
-    robot : RobotParameters
-        Robot as built.
+    robot : RobotParameters, optional
+        Robot as built; defaults to that of Table 1.
     """
 
+    Settings, Imu = OdometrySettings, ImuSettings
+
     def __init__(
-        self, settings: OdometrySettings, imu: ImuSettings, robot: RobotParameters
+        self, settings: OdometrySettings | None = None, imu: ImuSettings | None = None,
+        robot: RobotParameters | None = None,
     ) -> None:
+        settings, imu = settings or OdometrySettings(), imu or ImuSettings()
+        robot = robot or RobotParameters()
         self._settings = settings
         self._numbers = OdometryNumbers().of(RobotUnits.of(robot))
         self._filter = InertialFilter(imu, robot, self._numbers, settings.pivoting)

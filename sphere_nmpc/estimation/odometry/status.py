@@ -9,7 +9,7 @@ from typing import Any
 from sphere_nmpc.errors import Description, InvalidInputError
 from sphere_nmpc.estimation.odometry.odometry import Odometry
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Condition
 from sphere_nmpc.reporting.recent import Recent
 from sphere_nmpc.reporting.stamps import OTHER_CLOCK_AGE, StampWatch

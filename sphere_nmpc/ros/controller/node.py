@@ -85,9 +85,11 @@ class ControllerNode(ClockedNode):
             partial(floor_with_distances, robot.shell_radius), self._use_floor, self._fault_log,
             self._event_log,
         )
+        self.resources.callback(self._floor_receiver.close)
         self._worker: WorkerProcess | None = None
         if self._schedule.is_real_time:
             self._worker = WorkerProcess(lambda line: self._fault_log.report("worker", line))
+            self.resources.callback(self._worker.close)
         self.controller = Controller(settings, robot, worker=self._worker)
         self.controller.floor = self._floor_receiver.floor
         self._monitor = ControllerMonitor(self, self._fault_log)
@@ -133,13 +135,6 @@ class ControllerNode(ClockedNode):
             self._plan(self._schedule.request(now))
             self._sender.send_final_ramp(now)
         self._stored_goal.close()
-
-    def destroy_node(self) -> None:
-        """Destroy the node, and end the worker process."""
-        self._floor_receiver.close()
-        if self._worker is not None:
-            self._worker.close()
-        super().destroy_node()
 
     def _subscribe(self, radius: float) -> None:
         # In lockstep the pose of a sampling instant must not get lost; it is the last one before

@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import Description, InvalidInputError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.quantities import NANOSECONDS, counted
 from sphere_nmpc.ros.goal_link import GoalLink
 from sphere_nmpc.ros.graph_monitor import GraphMonitor, names_of, several_publishers
 from sphere_nmpc.ros.guarded_node import LATCHED, NEWEST, GuardedNode
@@ -104,11 +104,11 @@ class NavigatorNode(GuardedNode):
         self._link = GoalLink(self, [Goals, Path], settings, self._end)
         self._client = self._link.client
         self.create_subscription(PoseStamped, "pose", self._receive_pose, NEWEST, raw=True)
-        self._servers = [
-            GoalServer(self, kind, name, self._check, self._begin, self._cancel)
-            for name, kind in types.items()
-        ]
+        for name, kind in types.items():
+            server = GoalServer(self, kind, name, self._check, self._begin, self._cancel)
+            self.resources.callback(server.destroy)
         self._substitutes = Substitutes(self)
+        self.resources.callback(self._substitutes.destroy)
         # What clients of Nav2 wait for before they send a goal.
         self._located = self.create_publisher(PoseWithCovarianceStamped, "amcl_pose", LATCHED)
         self._offer_state("amcl", lambda: self._pose is not None)
@@ -124,13 +124,6 @@ class NavigatorNode(GuardedNode):
         self._link.update()
         while self.executor is not None and time.monotonic() < end:
             self.executor.spin_once(timeout_sec=_PERIOD)
-
-    def destroy_node(self) -> None:
-        """Destroy the action servers and the node."""
-        self._substitutes.destroy()
-        for server in self._servers:
-            server.destroy()
-        super().destroy_node()
 
     def _check(self, request: Any) -> None:
         if self._ends:
@@ -175,7 +168,7 @@ class NavigatorNode(GuardedNode):
         accepted.handle.publish_feedback(feedback_of(
             accepted.server.action_type, report,
             (self.get_clock().now().nanoseconds - accepted.stamp) / NANOSECONDS,
-            accepted.stage(pursuit.stage), pose, accepted.ways,
+            accepted.stage(pursuit.stage), pose, pursuit.message, accepted.ways,
         ))
 
     def _navigators(self) -> list[str]:

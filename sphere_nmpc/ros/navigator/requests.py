@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of the actions of Nav2, checked and translated."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from sphere_nmpc.control.goal_client import Ending, Missed, Outcome
 from sphere_nmpc.control.goal_report import ERROR_CODES, GoalReport
 from sphere_nmpc.errors import InvalidInputError, SphereNmpcError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros.messages import framed_places_from_ros, framed_poses_from_ros
 
-_INSTALL = "apt install ros-jazzy-nav2-msgs"
+_INSTALL = f"apt install ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-nav2-msgs"
 _LARGEST = 2**15 - 1
 """Largest count in a message of the actions."""
 _LONGEST = 2**31 - 1
@@ -101,17 +102,28 @@ def result_of(
     `waypoints` are the stages of the goal, which begins with the one of index `first`.
     """
     result = kind.Result()
+    values: dict[str, Any] = {}
     if hasattr(result, "missed_waypoints"):
-        result.missed_waypoints = [
+        values["missed_waypoints"] = [
             _missed_waypoint(missed, (first + missed.stage) % len(waypoints), waypoints)
             for missed in ending.missed
         ]
+    if hasattr(result, "waypoint_statuses"):
+        is_reached = ending.outcome is Outcome.SUCCEEDED
+        values["waypoint_statuses"] = _statuses(
+            waypoints[0], ending.passed, "COMPLETED" if is_reached else "FAILED"
+        )
     if ending.outcome is Outcome.ABORTED:
-        if hasattr(result, "error_code"):
-            result.error_code = _code(kind, ending)
-        if hasattr(result, "error_msg"):
-            result.error_msg = ending.reason
-    return result
+        values |= {"error_code": _code(kind, ending), "error_msg": ending.reason}
+    return _fill(result, values)
+
+
+def _fill(message: Any, values: Mapping[str, Any]) -> Any:
+    """Set the values of those fields that a message has in the installed version of Nav2."""
+    for name, value in values.items():
+        if hasattr(message, name):
+            setattr(message, name, value)
+    return message
 
 
 def _code(kind: Any, ending: Ending) -> int:
@@ -128,7 +140,10 @@ def _code(kind: Any, ending: Ending) -> int:
 
 def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Any]) -> Any:
     """Return the message about a waypoint that was missed, as this version of Nav2 has it."""
-    code, pose = ERROR_CODES.get(missed.cause, 1), waypoints[index].goals[0]
+    from nav2_msgs.action import NavigateToPose
+
+    unknown = getattr(NavigateToPose.Result, "UNKNOWN", 1)
+    code, pose = ERROR_CODES.get(missed.cause, unknown), waypoints[index].goals[0]
     try:
         from nav2_msgs.msg import MissedWaypoint
     except ImportError:
@@ -141,37 +156,45 @@ def _missed_waypoint(missed: Missed, index: int, waypoints: Sequence[Any]) -> An
     return MissedWaypoint(index=index, goal=pose, error_code=code)
 
 
+def _statuses(goals: Any, passed: int, others: str) -> list[Any]:
+    """Return the status of each of several goals, of which the first ones have been passed."""
+    from nav2_msgs.msg import WaypointStatus as Status
+
+    return [
+        Status(
+            waypoint_status=Status.COMPLETED if index < passed else getattr(Status, others),
+            waypoint_index=index, waypoint_pose=pose,
+        ) for index, pose in enumerate(goals.goals)
+    ]
+
+
 def feedback_of(
-    kind: Any, report: GoalReport, since: float, waypoint: int, pose: Any, ways: Vector | None
+    kind: Any, report: GoalReport, since: float, waypoint: int, pose: Any, message: Goals | Path,
+    ways: Vector | None,
 ) -> Any:
     """Return the feedback of an action.
 
     `since` is the time since the goal was accepted [s], `waypoint` the index of the one of
-    `follow_waypoints`, `pose` the newest one of the sphere, and `ways` are those of `ways_of` the
-    path of `follow_path`.
+    `follow_waypoints`, `pose` the newest one of the sphere, `message` what is sent for the goal,
+    and `ways` are those of `ways_of` the path of `follow_path`.
     """
-    feedback = kind.Feedback()
+    feedback, left = kind.Feedback(), report.total_distance_left
+    values = {
+        "current_waypoint": waypoint, "current_pose": pose, "robot_pose": pose,
+        "header": pose.header, "navigation_time": _duration(since),
+        "estimated_time_remaining": _duration(report.total_time_left),
+        "distance_remaining": left, "distance_to_goal": left, "remaining_path_length": left,
+        "speed": report.speed, "position_tracking_error": report.deviation,
+        "heading_tracking_error": -report.heading_error,  # positive to the right
+        "number_of_poses_remaining": min(max(0, report.count - report.index), _LARGEST),
+    }
     if ways is not None:
-        # Of newer versions of Nav2 the feedback has one message with all.
-        tracking = getattr(feedback, "tracking_feedback", feedback)
-        tracking.distance_to_goal, tracking.speed = report.total_distance_left, report.speed
-        if tracking is not feedback:
-            tracking.header, tracking.robot_pose = pose.header, pose
-            tracking.position_tracking_error = report.deviation
-            tracking.heading_tracking_error = -report.heading_error  # positive to the right
-            tracking.remaining_path_length = report.total_distance_left
-            left = np.fmin(report.total_distance_left, ways[-1])  # all where it is not known
-            tracking.current_path_index = int(np.searchsorted(ways, ways[-1] - left, "right")) - 1
-        return feedback
-    if hasattr(feedback, "current_waypoint"):
-        feedback.current_waypoint = waypoint
-        return feedback
-    feedback.current_pose = pose
-    feedback.navigation_time = _duration(since)
-    feedback.estimated_time_remaining = _duration(report.total_time_left)
-    feedback.distance_remaining = report.total_distance_left
-    if hasattr(feedback, "number_of_poses_remaining"):
-        feedback.number_of_poses_remaining = min(max(0, report.count - report.index), _LARGEST)
+        way = ways[-1] - np.fmin(left, ways[-1])  # none where it is not known
+        values["current_path_index"] = int(np.searchsorted(ways, way, "right")) - 1
+    if hasattr(feedback, "waypoint_statuses"):
+        values["waypoint_statuses"] = _statuses(message, report.index, "PENDING")
+    # Of newer versions the feedback of follow_path has one message with all.
+    _fill(getattr(feedback, "tracking_feedback", feedback), values)
     return feedback
 
 

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from sphere_nmpc.errors import InvalidInputError
 from sphere_nmpc.estimation.imu import ImuSettings
-from sphere_nmpc.estimation.mounting import FixedFrames
+from sphere_nmpc.estimation.mounting import RobotFrames
 from sphere_nmpc.estimation.odometry import Odometry
 from sphere_nmpc.estimation.odometry.kept_pose import KeptPose, anywhere, pose_memory, since
 from sphere_nmpc.model.error_state import fixed_axes_covariance
@@ -72,7 +72,7 @@ class OdometryNode(ClockedNode):
         self.odometry = Odometry(self._settings, self._imu, self._robot)
         self._prefix = frame_prefix(self, self._settings.frame_prefix)
         urdf = self._settings.robot_description
-        self._frames = FixedFrames(urdf) if urdf else None
+        self._frames = RobotFrames(urdf) if urdf else None
         self._mounted: str | None = None if self._frames else ""
         """Frame whose mounting is in force; None before the first, "" where there is none."""
         self._given: tuple[Vector, Vector | None] | None = None
@@ -135,7 +135,7 @@ class OdometryNode(ClockedNode):
             for publisher, pose in self._sent:
                 publisher.publish(pose)
 
-    def _mount(self, frame: str, frames: FixedFrames) -> None:
+    def _mount(self, frame: str, frames: RobotFrames) -> None:
         """Begin anew with the IMU where the description has the frame of its messages."""
         place, turn = frames.mounting(frame.removeprefix(self._prefix), BODY_FRAME)
         imu = replace(

@@ -158,9 +158,11 @@ class Slot:
         for place, value in zip(self._given, values, strict=True):
             place[...] = value
         self._run(self._address)
-        inputs, states, *scalars = self._found
+        inputs, states, durations, *scalars = self._found
         cost, status, *others = [place.item() for place in scalars]
-        return Solution(inputs.copy(), states.copy(), cost, STATUSES[status], *others)
+        return Solution(
+            inputs.copy(), states.copy(), durations.copy(), cost, STATUSES[status], *others
+        )
 
 
 def _names_of(record: type) -> tuple[str, ...]:

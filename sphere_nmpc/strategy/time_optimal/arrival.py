@@ -34,7 +34,6 @@ from sphere_nmpc.solver.problem import (
     End,
     LeastSquaresProblem,
     MinimumTimeProblem,
-    Problem,
     Solution,
     SolverSettings,
     SolveStatus,
@@ -42,7 +41,7 @@ from sphere_nmpc.solver.problem import (
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.solver.solve import solve
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Made, Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Made, Plan
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
@@ -118,8 +117,10 @@ class ArrivalSolver:
         )
         solution = solve(problem, knots, self._trial)
         work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
-        error = math.sqrt(solution.cost) if _is_finite(solution) else math.inf
-        return _plan(goal, orientation, guess.start, problem, solution, error, work)
+        error = math.inf
+        if solution.status is not SolveStatus.NOT_FINITE:
+            error = math.sqrt(solution.cost)
+        return _plan(goal, orientation, guess.start, solution, error, work)
 
     def solve(
         self, situation: Situation, goal: Goal, guess: FirstOrderHold, factor: float = 1.0,
@@ -184,17 +185,11 @@ class ArrivalSolver:
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
         solution = solve(problem, guess.speeds[1:], settings, budget)
-        duration = solution.stretch * (guess.end - guess.start)
-        error = math.inf
-        if _is_finite(solution):
-            left = solution.cost - duration
-            if problem.effort_weight > 0.0:
-                left -= problem.effort(solution.inputs, solution.stretch)
-            error = max(0.0, left) / problem.error_weight
+        error = problem.terminal_error(solution)
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0
-        work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * problem.intervals
-        return _plan(goal, orientation, guess.start, problem, solution, error, work, turns)
+        work = _CALL_WORK + (_STEP_WORK * solution.iterations + 1) * durations.size
+        return _plan(goal, orientation, guess.start, solution, error, work, turns)
 
     def solves(
         self, situation: Situation, known: Plan, deadline: float = math.inf,
@@ -291,20 +286,13 @@ def _demanded(situation: Situation, goal: Goal) -> Orientation:
     return goal.orientation if situation.has_small_momentum else Orientation.FULL
 
 
-def _is_finite(solution: Solution) -> bool:
-    return solution.status is not SolveStatus.NOT_FINITE
-
-
 def _plan(
-    goal: Goal, demanded: Orientation, start: float, problem: Problem, solution: Solution,
-    error: float, work: int, turns: int = 0,
+    goal: Goal, demanded: Orientation, start: float, solution: Solution, error: float, work: int,
+    turns: int = 0,
 ) -> Plan:
-    times = np.concatenate(([0.0], np.cumsum(solution.stretch * problem.durations)))
-    hold = FirstOrderHold(start + times, solution.inputs)
+    hold = FirstOrderHold(start + solution.times, solution.inputs)
     pose = demanded.nearest(goal.at(hold.end), solution.states[-1])
     return Plan(
-        PlanStatus.SOLVED, hold, solution.states, Leg(replace(goal, pose=pose, since=hold.end)),
-        error, made=Made(
-            error**2, solution.iterations, solution.kkt_residual, work, turns=turns
-        ),
+        hold, solution.states, leg=Leg(replace(goal, pose=pose, since=hold.end)), error=error,
+        made=Made(error**2, solution.iterations, solution.kkt_residual, work, turns=turns),
     )

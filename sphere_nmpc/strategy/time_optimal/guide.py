@@ -26,7 +26,7 @@ from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.lines import gone_back, line_hold
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
@@ -288,7 +288,7 @@ def _lines(
             situation.state, hold.speeds, hold.durations, constants.as_array()
         )
         goal = Goal(states[-1, POSE].copy(), Orientation.ANY, since=hold.end)
-        yield Plan(PlanStatus.SOLVED, hold, states, Leg(goal), error=0.0)
+        yield Plan(hold, states, leg=Leg(goal), error=0.0)
 
 
 def _away(situation: Situation, place: Vector) -> Vector:

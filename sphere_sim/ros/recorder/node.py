@@ -5,7 +5,8 @@
 Subscribes to every topic that matches its parameter ``topics`` as soon as it has a publisher, with
 a quality of service that fits all publishers. The log time of a message is its time of arrival:
 on the system clock, or with ``use_sim_time`` the newest /clock that arrived before it, which is
-then always recorded.
+then always recorded. Where the messages of /tf are not installed, so that no node can publish it,
+the recorder makes the transforms itself, see `frames`.
 
 Parameters: ``output``, ``topics``, ``record_on_start``, ``commit_period``.
 Services: ``~/start``, ``~/stop``, ``~/is_recording`` (std_srvs/Trigger).
@@ -39,6 +40,7 @@ from sphere_nmpc.ros.graph_monitor import (
 )
 from sphere_nmpc.ros.guarded_node import GuardedNode
 from sphere_nmpc.ros.lifetime import run
+from sphere_nmpc.ros.pose_publisher import frame_prefix
 from sphere_sim.recording.bag_files import TOPICS_PREFIX, BagError
 from sphere_sim.recording.message_fields import POSE_TOPIC
 from sphere_sim.recording.recorder_settings import (
@@ -48,6 +50,7 @@ from sphere_sim.recording.recorder_settings import (
     matches_any,
 )
 from sphere_sim.recording.session import RecordingSession
+from sphere_sim.ros.recorder.frames import MOVING, STATIC, TRANSFORMS, Frames
 from sphere_sim.ros.recorder.surroundings import (
     MissingTopics,
     ParameterSnapshots,
@@ -108,6 +111,10 @@ class RecorderNode(GuardedNode):
             if matches_any(topic, self._patterns):
                 self._named[name] = topic
                 self._subscribe(topic, msgtype, compatible_qos((), name in LATCHED))
+        self._frames = None if _message_class(TRANSFORMS) else Frames(frame_prefix(self, ""))
+        for topic in (MOVING, STATIC):
+            if self._frames is not None and matches_any(topic, self._patterns):
+                self._session.set_topic(topic, TRANSFORMS, topic == STATIC)
         if settings.record_on_start:
             self._start()
         self.create_wall_timer(_DISCOVERY_PERIOD, self._discover)
@@ -129,7 +136,9 @@ class RecorderNode(GuardedNode):
         self._stop()
 
     def _offered_qos(self, topic: str) -> list[Qos]:
-        entry = self._subscriptions_by_topic[topic]
+        entry = self._subscriptions_by_topic.get(topic)
+        if entry is None:  # transforms that are made here
+            return [qos_for_bag(compatible_qos((), latched=True))] if topic == STATIC else []
         return [qos_for_bag(it.qos_profile)
                 for it in publishers_of(self, topic, entry.message_class)]
 
@@ -217,7 +226,8 @@ class RecorderNode(GuardedNode):
         inbox, self._inbox = self._inbox, []
         status = self._named.get("controller/status")
         self._status = next((it for *_, topic, it in inbox if topic == status), self._status)
-        self._session.write(inbox)
+        made = self._frames.transforms(inbox, self._named) if self._frames else []
+        self._session.write([*inbox, *made])
 
     def _start(self) -> str:
         folder = self._session.start()

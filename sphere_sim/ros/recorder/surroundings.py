@@ -21,7 +21,7 @@ from rosbags.interfaces import (
 )
 
 from sphere_nmpc.errors import shown
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX
 from sphere_sim.recording.recorder_settings import DEFAULT_TOPICS, absolute, matches_any

@@ -24,7 +24,7 @@ from sphere_sim.ros.session.goal_run import GoalRunner
 from sphere_sim.ros.session.other_publishers import require_sole_publishers
 from sphere_sim.ros.session.serving import serve_until
 
-_RECEIVED = ("/clock", "/pose", "/controller/active_goal")
+_RECEIVED = ("/clock", "/pose", "/controller/active_goal", "/robot_description")
 """Topics of which the recorder must have a message before time starts; the simulator repeats
 its own while it is paused."""
 _MATCHED = ("/odom", "/joint_states", "/rotor_trajectory", "/rotor_commands", "/controller/status")

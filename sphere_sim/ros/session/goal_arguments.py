@@ -15,7 +15,7 @@ from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.foreign.file import InvalidFileError, find_file
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.state import QUATERNION, Vector, make_state
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 from sphere_nmpc.ros.goal_link import GoalMessage
 from sphere_nmpc.ros.messages import MOST_PLACES
 from sphere_sim.output.arguments import finite, not_negative

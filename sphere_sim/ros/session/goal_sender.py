@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings, Outcome
 from sphere_nmpc.errors import SphereNmpcError
-from sphere_nmpc.quantity import counted
+from sphere_nmpc.quantities import counted
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
 from sphere_nmpc.ros.graph_monitor import type_name

@@ -3,7 +3,8 @@
 """The simulator node: a sphere with two rotors, its drives, its sensors and its clock.
 
 publishes   pose and odom, with pose_source odometry as ground_truth/pose and ground_truth/odom,
-            imu, joint_states, /clock unless it runs on the system clock, /diagnostics, ~/pushed
+            imu, joint_states, robot_description, /clock unless it runs on the system clock,
+            /diagnostics, ~/pushed
 subscribes  rotor_trajectory, rotor_commands, control_period, map, ~/push, in lockstep the
             controller's status, with an odometry node the first pose
 services    ~/reset, ~/pause, ~/step, ~/push; with an odometry node calls its ~/reset
@@ -18,7 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.executors import Executor
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -26,7 +27,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.floor.settings import OccupancySettings
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, as_state
-from sphere_nmpc.quantity import NANOSECONDS, counted
+from sphere_nmpc.quantities import NANOSECONDS, counted
 from sphere_nmpc.reporting.conditions import OK, WARN, Condition, Kind, Report
 from sphere_nmpc.ros.cdr import Pose, fields
 from sphere_nmpc.ros.diagnostics import Diagnostics
@@ -45,6 +46,7 @@ from sphere_sim.world.disturbances import DisturbanceSettings
 from sphere_sim.world.drives import beyond
 from sphere_sim.world.imu_sensor import SimulatedImuSettings
 from sphere_sim.world.plant.factory import make_plant, settings_class
+from sphere_sim.world.robot_description import make_urdf
 from sphere_sim.world.settings import PLANTS
 from sphere_sim.world.simulator import Simulator
 from sphere_sim.world.walls import walls_of
@@ -107,6 +109,7 @@ class SimulatorNode(GuardedNode):
             lambda walls: self.simulator.plant.surround(walls), self._fault_log, self._event_log,
             is_planner=False,
         )
+        self.resources.callback(self._floor_receiver.close)
         start, walls = as_state(settings.initial_state), self._floor_receiver.floor
         plant = make_plant(settings.plant, robot, start, self._own, disturbances, walls)
         self.simulator = Simulator(settings, robot, plant, imu if settings.has_odometry else None)
@@ -135,6 +138,8 @@ class SimulatorNode(GuardedNode):
             self, self.simulator, settings, robot.max_rotor_speed, self._fault_log,
             self._command_received, lambda: self._state_publisher.epoch,
         )
+        description = String(data=make_urdf(robot, imu=imu))
+        self.create_publisher(String, "robot_description", LATCHED).publish(description)
         self.create_subscription(Float64, "control_period", self._receive_period, LATCHED)
         self.create_service(Trigger, "~/reset", self._reset)
         has_odometry = settings.has_odometry
@@ -158,11 +163,6 @@ class SimulatorNode(GuardedNode):
         self._state_publisher.publish(self.simulator)
         if not self._simulated_clock.paused:
             self._simulated_clock.resume(0, wall)
-
-    def destroy_node(self) -> None:
-        """Destroy the node."""
-        self._floor_receiver.close()
-        super().destroy_node()
 
     @property
     def thread_priority(self) -> int:

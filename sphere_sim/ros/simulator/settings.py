@@ -5,7 +5,7 @@
 from dataclasses import dataclass
 
 from sphere_nmpc.errors import InvalidParameterError
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 from sphere_sim.world.settings import SimulatorSettings
 
 CLOCKS = ("simulated", "system")

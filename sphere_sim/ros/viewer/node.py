@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from sphere_nmpc.control.goal_client import Ending, NavigatorSettings
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.ros.cdr import WORLD_FRAME
 from sphere_nmpc.ros.goal_link import GoalLink, GoalMessage
 from sphere_nmpc.ros.guarded_node import GuardedNode

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from sphere_nmpc.errors import InvalidStateError
 from sphere_nmpc.floor.occupancy import InvalidMapError
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.quantities import stamp_text
 from sphere_nmpc.ros import cdr
 from sphere_nmpc.ros.floor_messages import floor_of
 from sphere_nmpc.ros.graph_monitor import publishers_of

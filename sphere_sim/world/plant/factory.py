@@ -43,8 +43,7 @@ def make_plant(
     """
     kind, own = PLANTS.load(name), settings_class(name)
     arguments: dict[str, Any] = {
-        "disturbances": DisturbanceSettings() if disturbances is None else disturbances,
-        "walls": walls,
+        "disturbances": disturbances or DisturbanceSettings(), "walls": walls,
     }
     if own is not PlantSettings:
         arguments["settings"] = (own() if settings is None else settings).for_robot(robot)

@@ -21,7 +21,6 @@ and momentum stay as before it while the rotors turn on.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +29,8 @@ from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import matrix
 from sphere_nmpc.model.state import Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.walls import Contact, Walls
+from sphere_sim.world.plant.contract import Plant
+from sphere_sim.world.walls import Walls
 
 MAX_STEP = 5e-3
 """Longest Runge-Kutta step [s], times `step_scale`: error of a 0.5 s interval at full speed below
@@ -42,7 +42,7 @@ _REFERENCE = RobotParameters()
 _Numbers = tuple[float, ...]
 
 
-class RollingPlant:
+class RollingPlant(Plant):
     """Ideal plant; for the arguments see `sphere_sim.world.plant.factory.make_plant`.
 
     Where friction could stop the shell within the longest integration step, its torque falls in
@@ -53,14 +53,15 @@ class RollingPlant:
         self, robot: RobotParameters, state: Vector,
         disturbances: DisturbanceSettings | None = None, walls: Walls | None = None,
     ) -> None:
+        super().__init__(robot, disturbances, walls)
         self._max_step = MAX_STEP * step_scale(robot)
         self._radius = robot.shell_radius
         self._mass = robot.total_mass
         self._rotor_inertia = robot.rotor_axial_inertia
         self._inertia = _inertia_about_centre(robot)
         self._stopped_in_a_step = self._max_step / min(self._inertia)
-        self._disturb(DisturbanceSettings() if disturbances is None else disturbances)
-        self.contact = Contact(walls, self._radius)
+        self._offset = self.disturbances.mass_offset
+        self._weigh()
         self.reset(state)
 
     def reset(self, state: Vector) -> None:
@@ -79,7 +80,7 @@ class RollingPlant:
 
     def surround(self, walls: Walls | None) -> None:
         """Replace the walls; None where there are none."""
-        self.contact.surround(walls)
+        super().surround(walls)
         self._stop_at_walls(self._y)
 
     def push(self, impulse: ArrayLike) -> None:
@@ -90,14 +91,15 @@ class RollingPlant:
 
     def tilt(self, slope: float, direction: float) -> None:
         """Change the inclination of the floor and its downhill direction [rad]."""
-        self._disturb(replace(self._disturbances, slope=slope, slope_direction=direction))
+        super().tilt(slope, direction)
+        self._weigh()
 
-    def _disturb(self, disturbances: DisturbanceSettings) -> None:
-        self._disturbances = disturbances
-        self._offset, self._gravity = disturbances.mass_offset, disturbances.gravity
+    def _weigh(self) -> None:
+        """Take over the forces of gravity and friction."""
+        self._gravity = self.disturbances.gravity
         normal = -self._mass * self._gravity[2]
-        self._rolling = disturbances.rolling_friction * normal
-        self._spinning = disturbances.torsional_friction * normal
+        self._rolling = self.disturbances.rolling_friction * normal
+        self._spinning = self.disturbances.torsional_friction * normal
 
     @property
     def state(self) -> Vector:
@@ -124,11 +126,6 @@ class RollingPlant:
     def momentum(self) -> Vector:
         """Angular momentum about the contact point [N m s; world frame], shape (3,)."""
         return np.array(self._y[6:])
-
-    @property
-    def gravity(self) -> Vector:
-        """Acceleration of free fall [m/s^2; world frame], shape (3,)."""
-        return np.array(self._gravity)
 
     @property
     def rotor_angles(self) -> Vector:

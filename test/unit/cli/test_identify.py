@@ -10,7 +10,7 @@ import yaml
 from identify import Drawn
 
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros import cdr, cdr_messages
 from sphere_sim.cli.main import main
 from sphere_sim.recording.bag_files import PARAMETERS_PREFIX

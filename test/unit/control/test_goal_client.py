@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sphere_nmpc.control.goal_client import GoalClient, NavigatorSettings, Outcome
 from sphere_nmpc.control.goal_report import GoalReport
-from sphere_nmpc.quantity import stamp_text
+from sphere_nmpc.quantities import stamp_text
 from sphere_nmpc.reporting.conditions import Kind
 
 SETTINGS = NavigatorSettings(controller_timeout=5.0, no_progress_timeout=20.0)

@@ -74,12 +74,12 @@ class Blocked(Simulator):
 
 
 def closed_loop(
-    controller: Controller, settings: ControllerSettings, duration: float,
+    controller: Controller, duration: float,
     kind: type[Simulator] = Simulator, robot: RobotParameters = ROBOT, **world: float,
 ) -> Trajectory:
     simulated = SimulatorSettings(initial_state=tuple(START), **world)
     simulator = kind(simulated, robot)
-    return run_closed_loop(simulator, controller, GOAL, duration, settings.control_period, 0.1)
+    return run_closed_loop(simulator, controller, GOAL, duration, 0.1)
 
 
 def first_missing(run: Trajectory) -> str:
@@ -92,7 +92,7 @@ def test_strategy_that_stands_still_is_told_within_some_periods(robot, period) -
     told = Condition(Kind.PLANNED, "converged")
     controller = Controller(settings, robot, Standing(conditions=(told,)))
     patience = max(5.0, 6.0 * settings.period)
-    run = closed_loop(controller, settings, patience + 2.0 * settings.period, robot=robot)
+    run = closed_loop(controller, patience + 2.0 * settings.period, robot=robot)
     modes = [d.mode for d in run.decisions]
     first = modes.index(Kind.NO_PROGRESS)
     late = first * settings.control_period - patience
@@ -122,14 +122,14 @@ def test_strategy_that_stands_still_is_told_within_some_periods(robot, period) -
 )
 def test_cause_of_missing_progress_is_told(values, parts, kind, cause) -> None:
     settings = ControllerSettings(**values)
-    run = closed_loop(Controller(settings, ROBOT, **parts), settings, 5.6, kind)
+    run = closed_loop(Controller(settings, ROBOT, **parts), 5.6, kind)
     assert cause in first_missing(run)
 
 
 def test_sphere_that_rests_where_noise_hides_the_rest_of_its_error_is_told_so() -> None:
     settings = ControllerSettings(goal_tolerance=1e-3)
     run = closed_loop(
-        Controller(settings, ROBOT), settings, 14.0, position_noise=5e-3, orientation_noise=5e-3,
+        Controller(settings, ROBOT), 14.0, position_noise=5e-3, orientation_noise=5e-3,
         pose_rate=100.0,
     )
     assert first_missing(run).endswith("less noise of the poses, or a larger goal_tolerance")
@@ -139,7 +139,7 @@ def test_sphere_that_rests_where_noise_hides_the_rest_of_its_error_is_told_so() 
 def test_progress_and_another_goal_end_it() -> None:
     settings = ControllerSettings(strategy="paper")
     controller = Controller(settings, ROBOT, Standing())
-    closed_loop(controller, settings, 6.0)
+    closed_loop(controller, 6.0)
     here = make_state((0.1, 0.0), START[2:])
     for time, pose, mode in (
         (6.5, START, Kind.NO_PROGRESS), (7.0, here, Kind.TRACKING), (12.5, here, Kind.NO_PROGRESS)
@@ -155,7 +155,7 @@ def missing(poses: list[Vector], **settings: float) -> list[Condition | None]:
     """Return the results of the detector for a pose every half second and plans of rest."""
     progress, found = Progress(ROBOT), []
     chosen = ControllerSettings(strategy="paper", **settings)  # type: ignore[arg-type]
-    plan = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, AT_REST), START[None, :])
+    plan = Plan(FirstOrderHold.constant(0.0, AT_REST), START[None, :])
     for k, pose in enumerate(poses):
         decision = Decision(Kind.TRACKING.conditions, plan, without_momentum(pose), GOAL, 0.0)
         found.append(progress.update(0.5 * k, pose, GOAL, lambda _: AT_REST, decision, chosen))

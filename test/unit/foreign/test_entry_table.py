@@ -22,7 +22,7 @@ UPRIGHT = upright_state(0.0, 0.0, 0.0)
 TABLES = {"strategy": STRATEGIES, "plant": PLANTS}
 METHODS = {
     "strategy": "plan, change, reset",
-    "plant": "advance, reset, displace, surround, push, tilt",
+    "plant": "advance, reset, displace, push, surround, tilt",
 }
 
 
@@ -40,9 +40,7 @@ def test_plant_of_this_package_has_all_of_the_contract_which_is_all_checked(name
     plant = make_plant(name, RobotParameters(), UPRIGHT)
     members = {member for member in vars(Plant) if not member.startswith("_")}
     assert not [member for member in members if not hasattr(plant, member)]
-    assert {name for name in members if isinstance(vars(Plant)[name], property)} == {
-        *SIZES, "contact"
-    }
+    assert {name for name in members if isinstance(vars(Plant)[name], property)} == {*SIZES}
     assert all(getattr(plant, quantity).shape == (size,) for quantity, size in SIZES.items())
 
 

@@ -28,7 +28,7 @@ from sphere_nmpc.model.rotation import random_quaternion
 from sphere_nmpc.model.state import POSITION, Vector, make_state, without_momentum
 from sphere_nmpc.model.torque import largest_acceleration, torques, within_torque
 from sphere_nmpc.model.units import RobotUnits
-from sphere_nmpc.quantity import quantities
+from sphere_nmpc.quantities import quantities
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_sim.scenario.scenarios import PAPER_CASES

@@ -3,6 +3,7 @@
 """Files that are made to fill memory and disk of their reader, or not to end, are read in part."""
 
 import os
+import re
 import shutil
 import sqlite3
 import struct
@@ -34,7 +35,8 @@ ALIASES = "\n".join(
 HOSTILE_TEXTS = {
     "aliases": (f"{ALIASES}\nrosbag2_bagfile_information: {{relative_file_paths: [*a9]}}\n"
                 "custom_data: {any: *a9}", "given an alias, expected each value written out"),
-    "brackets": ("[" * 100_000, "given lists in lists, expected at most 10 levels"),
+    # libyaml itself has a limit since its version 0.2.6, which it reaches while it looks ahead.
+    "brackets": ("[" * 100_000, "expected at most 10 levels|exceeded maximum nesting depth"),
     "long": ("# " + "x" * 5 * MB, "expected at most 4194304 bytes"),
 }
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT "
@@ -173,7 +175,7 @@ def test_hostile_metadata_is_ignored(tmp_path, text, told) -> None:
     (bag / "metadata.yaml").write_text(text)
     run = read_run(bag)
     assert len(run.times) == 301
-    assert told in run.notes[0] and "metadata.yaml is ignored, it cannot be read" in run.notes[0]
+    assert re.search(f"metadata.yaml is ignored, it cannot be read .*({told})", run.notes[0])
 
 
 def test_custom_data_that_is_nested_deeply_is_ignored(tmp_path) -> None:

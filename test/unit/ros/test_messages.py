@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from sphere_nmpc.errors import InvalidInputError, InvalidStateError
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.quantity import NANOSECONDS
+from sphere_nmpc.quantities import NANOSECONDS
 from sphere_nmpc.ros import cdr, cdr_messages
 from sphere_nmpc.ros import messages as ms
 

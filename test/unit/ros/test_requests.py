@@ -3,8 +3,11 @@
 """Translation of goals, feedback and results, for older and newer versions of Nav2."""
 
 import math
+import sys
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import navigation_messages
 import numpy as np
@@ -48,6 +51,9 @@ def requests(frame: str = "", common: str = "") -> list[SimpleNamespace]:
         SimpleNamespace(poses=[pose], behavior_tree=""),
         SimpleNamespace(poses=goals, behavior_tree=""),
     ]
+
+
+GOALS = Goals(goals=[stamped(state) for state in POSES])
 
 
 @pytest.mark.parametrize("frame", ["", "map"])
@@ -107,7 +113,7 @@ def test_more_poses_than_the_controller_takes_are_refused_whatever_they_are() ->
 def test_feedback_has_what_is_left_of_all_as_far_as_it_is_known(kinds) -> None:
     report = GoalReport("", 2, 3, total_time_left=1.25, total_distance_left=2.5)
     kind = kinds["navigate_through_poses"]
-    feedback = feedback_of(kind, report, 3.5, 0, stamped(POSES[1]), None)
+    feedback = feedback_of(kind, report, 3.5, 0, stamped(POSES[1]), GOALS, None)
     assert feedback.number_of_poses_remaining == 1
     assert feedback.number_of_recoveries == 0
     assert feedback.distance_remaining == 2.5
@@ -115,9 +121,9 @@ def test_feedback_has_what_is_left_of_all_as_far_as_it_is_known(kinds) -> None:
     left = feedback.estimated_time_remaining
     assert (left.sec, left.nanosec) == (1, 250_000_000)
     assert pose_from_ros(feedback.current_pose).tolist() == POSES[1]
-    assert feedback_of(kinds["follow_waypoints"], report, 0.0, 4, None, None).current_waypoint == 4
-    pose = stamped(POSES[1])
-    feedback = feedback_of(kinds["navigate_to_pose"], GoalReport(), -1.0, 0, pose, None)
+    pose, followed = stamped(POSES[1]), kinds["follow_waypoints"]
+    assert feedback_of(followed, report, 0.0, 4, pose, GOALS, None).current_waypoint == 4
+    feedback = feedback_of(kinds["navigate_to_pose"], GoalReport(), -1.0, 0, pose, GOALS, None)
     assert math.isnan(feedback.distance_remaining)
     assert feedback.estimated_time_remaining.sec == 2**31 - 1
     assert feedback.navigation_time.sec == 0
@@ -140,23 +146,41 @@ def test_path_is_sent_as_it_is_and_its_feedback_is_how_it_is_followed(kinds) -> 
     ways = ways_of(path)
     assert ways.tolist() == [0.0, 1.0, 3.0, 5.0]
     report = GoalReport("", total_distance_left=3.5, deviation=0.25, heading_error=0.5, speed=0.75)
-    found = feedback_of(kinds["follow_path"], report, 0.0, 0, None, ways)
+    pose = stamped(POSES[0], "map")
+    found = feedback_of(kinds["follow_path"], report, 0.0, 0, pose, path, ways)
     assert (found.distance_to_goal, found.speed) == (3.5, 0.75)
-    pose, newer = stamped(POSES[0], "map"), SimpleNamespace(tracking_feedback=SimpleNamespace())
-    kind = SimpleNamespace(Feedback=lambda: newer)
+    kind = Mock(Feedback=partial(Mock, spec=["tracking_feedback"]))
     for left, index in ((7.0, 0), (3.5, 1), (1.0, 2), (0.0, 3), (math.nan, 0)):
         report = replace(report, total_distance_left=left)
-        told = feedback_of(kind, report, 0.0, 0, pose, ways).tracking_feedback
+        told = feedback_of(kind, report, 0.0, 0, pose, path, ways).tracking_feedback
         assert told.current_path_index == index
     # To the right of the path is a positive heading error there.
     assert (told.position_tracking_error, told.heading_tracking_error) == (0.25, -0.5)
     assert (told.header.frame_id, told.robot_pose, told.speed) == ("map", pose, 0.75)
 
 
+def test_newer_versions_have_the_status_of_each_of_several_goals(monkeypatch) -> None:
+    status = Mock(side_effect=SimpleNamespace)
+    monkeypatch.setitem(sys.modules, "nav2_msgs.msg", Mock(WaypointStatus=status))
+    made = partial(Mock, spec=["waypoint_statuses", "position_tracking_error"])
+    kind, report = Mock(Feedback=made, Result=made), GoalReport("", 1, 2, deviation=0.25)
+    told = feedback_of(kind, report, 0.0, 0, stamped(POSES[0]), GOALS, None)
+    assert told.position_tracking_error == 0.25
+    assert [one.waypoint_pose for one in told.waypoint_statuses] == GOALS.goals
+    found = [(told, status.PENDING)]
+    for outcome in Outcome:
+        rest = status.COMPLETED if outcome is Outcome.SUCCEEDED else status.FAILED
+        found.append((result_of(kind, Ending(b"a", outcome, "", passed=1), [GOALS]), rest))
+    for message, rest in found:
+        one, other = message.waypoint_statuses
+        assert (one.waypoint_status, other.waypoint_status) == (status.COMPLETED, rest)
+        assert (one.waypoint_index, other.waypoint_index) == (0, 1)
+
+
 @pytest.mark.parametrize("outcome", Outcome)
 def test_result_has_code_and_reason_where_the_message_has_them(kinds, outcome) -> None:
     for kind in kinds.values():
-        result = result_of(kind, Ending(b"a", outcome, "the reason"), [])
+        result = result_of(kind, Ending(b"a", outcome, "the reason"), [GOALS])
         is_fault = outcome is Outcome.ABORTED
         assert bool(result.error_code) is is_fault
         assert result.error_msg == ("the reason" if is_fault else "")
@@ -181,9 +205,12 @@ def test_what_is_not_pursued_has_the_code_of_nav2_for_its_cause(kinds, cause, co
             beyond = 103 - code  # an invalid path
         if name == "follow_waypoints":
             assert result.error_code == unknown
-            assert [one.index for one in result.missed_waypoints] == [0, 0]
-            assert {one.error_code for one in result.missed_waypoints} == {code or 1}
-            assert pose_from_ros(result.missed_waypoints[0].goal).tolist() == POSES[0]
+            index, goal = navigation_messages.MISSED
+            assert [getattr(one, index) for one in result.missed_waypoints] == [0, 0]
+            of_goal = getattr(kinds["navigate_to_pose"].Result, "UNKNOWN", 1)
+            assert {one.error_code for one in result.missed_waypoints} == {code or of_goal}
+            missed_goal = getattr(result.missed_waypoints[0], goal)
+            assert pose_from_ros(missed_goal).tolist() == POSES[0]
         else:
             assert result.error_code == (code + beyond or unknown)
 

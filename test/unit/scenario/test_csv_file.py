@@ -4,11 +4,13 @@
 
 import csv
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sphere_nmpc.floor.settings import FloorSettings
 from sphere_sim.scenario import csv_file
 from sphere_sim.scenario.csv_file import (
     GOAL_COLUMNS,
@@ -162,3 +164,17 @@ def test_what_is_no_file_is_refused_unread(tmp_path) -> None:
         (tmp_path / "pipe", "a pipe"), (Path("/dev/zero"), "a device"),
     ):
         assert error_of(path).given == expected
+
+
+def test_map_is_beside_the_scenarios_and_has_to_be_one(tmp_path) -> None:
+    (tmp_path / "room.pgm").write_bytes(b"P5\n2 1\n255\n\xff\x00")
+    (tmp_path / "room.yaml").write_text("image: room.pgm\nresolution: 0.5\norigin: [0, 0, 0]\n")
+    rows = [f"{ROW},{name}" for name in ("room.yaml", " ", tmp_path / "room.yaml")]
+    own, none, absolute = read_scenarios(write(tmp_path, HEADER + ",map", *rows))
+    run = FloorSettings(map_file="run.yaml", clearance=0.1)
+    assert none.floor(run) is run and own.floor(run) == absolute.floor(run)
+    assert own.floor(run) == replace(run, map_file=str(tmp_path / "room.yaml"))
+    (tmp_path / "room.pgm").unlink()
+    for name in ("none.yaml", "room.yaml"):
+        error = error_of(write(tmp_path, HEADER + ",map", f"{ROW},", f"{ROW},{name}"))
+        assert (error.line, error.column) == (3, "map") and error.given.startswith(f"'{name}', ")

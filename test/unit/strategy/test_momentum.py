@@ -37,7 +37,7 @@ from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.at_rest import TOLERANCE, AtRest, holdable_goal
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce
-from sphere_nmpc.strategy.plan import Plan, PlanStatus
+from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.rest import hold_momentum
 from sphere_nmpc.strategy.time_optimal.guide import Guide
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
@@ -127,7 +127,7 @@ def test_far_goal_is_approached_by_legs_on_the_straight_line() -> None:
         np.testing.assert_allclose(aim.situation.goal.pose[POSITION], place + length * direction)
         assert aim.is_local and not aim.detour
         there = np.append(aim.situation.goal.pose, momentum)
-        to_it = Plan(PlanStatus.SOLVED, FirstOrderHold.constant(0.0, np.zeros(2)), there[None, :])
+        to_it = Plan(FirstOrderHold.constant(0.0, np.zeros(2)), there[None, :])
         leg = Guide(far, SOLVER).on_the_way(to_it).leg
         assert leg.end is LegEnd.THROUGH and leg.time_left > 1e4
         assert leg.way_left == pytest.approx(1e5 - np.linalg.norm(there[POSITION]))

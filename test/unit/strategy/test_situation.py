@@ -108,7 +108,7 @@ def test_situation_of_one_goal_has_no_other_leg() -> None:
 def test_plan_stands_while_leg_floor_plant_and_disturbance_are_the_same_objects() -> None:
     now = situation(Goal(SECOND))
     hold = FirstOrderHold.constant(now.time, np.zeros(2))
-    plan = Plan(PlanStatus.HOLDING, hold, now.state[None, :], until=8.0, tolerance=1e-3)
+    plan = Plan(hold, now.state[None, :], PlanStatus.HOLDING, until=8.0, tolerance=1e-3)
     in_force = InForce(plan, now, ROBOT)
     inputs = in_force.inputs
     assert in_force.stands(6.0, now.state, 0.0, inputs)

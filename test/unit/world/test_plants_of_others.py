@@ -10,7 +10,7 @@ import pytest
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.foreign.entry_table import Entry
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantity
+from sphere_nmpc.quantities import quantity
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario

@@ -12,10 +12,10 @@ from sphere_nmpc.errors import SphereNmpcError
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector
 from sphere_sim.world.disturbances import DisturbanceSettings
-from sphere_sim.world.plant.contract import PlantError
+from sphere_sim.world.plant.contract import Plant, PlantError
 from sphere_sim.world.plant.rigid_body.mjcf import make_floor, make_mjcf, servo_gain
 from sphere_sim.world.plant.rigid_body.settings import RigidBodySettings
-from sphere_sim.world.walls import Contact, Walls
+from sphere_sim.world.walls import Walls
 
 # Layout of MuJoCo's generalised coordinates and velocities.
 _CENTRE, _TURN, _ANGLES = slice(0, 3), slice(3, 7), slice(7, 9)
@@ -41,7 +41,7 @@ class PlantDivergedError(PlantError, RuntimeError):
         )
 
 
-class RigidBodyPlant:
+class RigidBodyPlant(Plant):
     """Plant of rigid bodies; for the arguments see `sphere_sim.world.plant.factory.make_plant`.
 
     The world frame is that of the floor: x and y are coordinates in it, also on a slope.
@@ -58,6 +58,7 @@ class RigidBodyPlant:
             import mujoco
         except ImportError as error:
             raise MissingEngineError from error
+        super().__init__(robot, disturbances, walls)
         self._mj: Any = mujoco
         settings = RigidBodySettings() if settings is None else settings
         self._settings = settings.for_robot(robot)
@@ -67,14 +68,12 @@ class RigidBodyPlant:
         self._lead = 1.0 / bandwidth if self._settings.drive_feedforward else 0.0
         self._floor = make_floor(self._settings)
         self._robot = robot
-        self._disturbances = DisturbanceSettings() if disturbances is None else disturbances
-        self.contact = Contact(walls, self._radius)
         self._compile(walls)
         self.reset(state)
 
     def _compile(self, walls: Walls | None) -> None:
         """Make MuJoCo's model of robot, floor and walls, and its data; all of them or none."""
-        mjcf = make_mjcf(self._robot, self._settings, self._disturbances, self._floor, walls)
+        mjcf = make_mjcf(self._robot, self._settings, self.disturbances, self._floor, walls)
         model = self._mj.MjModel.from_xml_string(mjcf)
         if self._floor is not None:
             model.hfield_data[:] = (self._floor.heights / self._floor.span).ravel()
@@ -90,10 +89,9 @@ class RigidBodyPlant:
 
     def surround(self, walls: Walls | None) -> None:
         """Replace the walls; None where there are none."""
-        before, gravity = self._data, self._model.opt.gravity.copy()
+        before = self._data
         self._compile(walls)
-        self.contact.surround(walls)
-        self._model.opt.gravity[:] = gravity
+        super().surround(walls)
         for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
             getattr(self._data, name)[:] = getattr(before, name)
         self._touch()
@@ -126,8 +124,8 @@ class RigidBodyPlant:
 
     def tilt(self, slope: float, direction: float) -> None:
         """Change the inclination of the floor and its downhill direction [rad]."""
-        tilted = DisturbanceSettings(slope=slope, slope_direction=direction)
-        self._model.opt.gravity[:] = tilted.gravity
+        super().tilt(slope, direction)
+        self._model.opt.gravity[:] = self.gravity
 
     @property
     def state(self) -> Vector:
@@ -157,11 +155,6 @@ class RigidBodyPlant:
         along = generalised[_VELOCITY]
         arm = np.array([-along[1], along[0], 0.0])
         return self._rotation() @ generalised[_RATE] + self._radius * arm
-
-    @property
-    def gravity(self) -> Vector:
-        """Acceleration of free fall [m/s^2; world frame], shape (3,)."""
-        return self._model.opt.gravity.copy()
 
     @property
     def rotor_angles(self) -> Vector:

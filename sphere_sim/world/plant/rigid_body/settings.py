@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity
 from sphere_sim.world.plant.contract import PlantSettings
 from sphere_sim.world.plant.rolling_plant import step_scale, time_scale
 
@@ -74,7 +74,7 @@ class RigidBodySettings(PlantSettings):
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if 0.0 < self.time_step < _SHORTEST_STEP:
             raise InvalidParameterError(
                 "time_step", self.time_step, f"0 or at least {_SHORTEST_STEP:g} s"

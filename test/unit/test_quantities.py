@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 
 from sphere_nmpc.errors import InvalidParameterError, shown
-from sphere_nmpc.quantity import quantity, validate
+from sphere_nmpc.quantities import quantity, validate
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from sphere_nmpc.model.state import (
     make_state,
     without_momentum,
 )
+from sphere_sim.scenario.lower_bound import _least_share, _least_share_from, lower_bound
 from sphere_sim.scenario.scenarios import draw_scenarios
 from sphere_sim.study.best_known import best_known_time
-from sphere_sim.study.lower_bound import _least_share, _least_share_from, lower_bound
 from sphere_sim.study.motion import Motion
 from sphere_sim.world.plant import rolling_plant
 from sphere_sim.world.plant.rolling_plant import RollingPlant

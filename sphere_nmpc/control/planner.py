@@ -10,7 +10,7 @@ from typing import cast
 
 from sphere_nmpc.foreign.code import called, foreign_error
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.settings import ControllerSettings
+from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.contract import (
     SearchingStrategy,
     Situation,
@@ -36,7 +36,8 @@ class Planner:
     record : callable
         Records an error.
     strategy : Strategy, optional
-        Defaults to the one named in `settings`.
+        Defaults to the one named in `settings`. `InvalidParameterError` is raised if it lacks a
+        method.
     worker : Worker, optional
         Searches for plans beside the control loop.
     """
@@ -46,6 +47,8 @@ class Planner:
         record: Callable[[Exception], object], strategy: Strategy | None = None,
         worker: Worker | None = None,
     ) -> None:
+        if strategy is not None:
+            STRATEGIES.check(strategy, strategy)
         self._settings, self._robot, self._worker = settings, robot, worker
         self._record = record
         self._searching: SearchingStrategy | None = None

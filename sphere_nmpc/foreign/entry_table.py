@@ -71,6 +71,11 @@ class EntryTable(dict[str, E]):
             raise InvalidParameterError(
                 self._kind, path, f"a class that can be imported ({cause})"
             ) from error
+        self.check(found, path, "a class")
+        return found
+
+    def check(self, found: object, given: object, what: str = "an object") -> None:
+        """Raise `InvalidParameterError` if a class or object lacks a method of the contract."""
         methods = [
             method for method, function in vars(_imported(self._contract)).items()
             if inspect.isfunction(function) and not method.startswith("_")
@@ -78,10 +83,9 @@ class EntryTable(dict[str, E]):
         missing = [method for method in methods if not callable(getattr(found, method, None))]
         if missing:
             raise InvalidParameterError(
-                self._kind, path,
-                f"a class with {', '.join(methods)} (it lacks {', '.join(missing)})",
+                self._kind, given,
+                f"{what} with {', '.join(methods)} (it lacks {', '.join(missing)})",
             )
-        return found
 
 
 def _imported(path: str) -> Any:

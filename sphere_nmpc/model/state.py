@@ -72,7 +72,10 @@ def without_momentum(pose: Vector) -> Vector:
 
 def as_state(values: ArrayLike) -> Vector:
     """Check and normalise a flat state [x, y, qw, qx, qy, qz], shape (6,); see `make_state`."""
-    flat = np.asarray(values, dtype=float)
+    try:
+        flat = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidStateError("state", values, "numbers [x, y, qw, qx, qy, qz]") from None
     if flat.shape != (POSE_SIZE,):
         raise InvalidStateError("state", flat.shape, f"the shape ({POSE_SIZE},)")
     return make_state(flat[POSITION], flat[QUATERNION])

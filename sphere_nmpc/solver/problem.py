@@ -117,6 +117,7 @@ class Shooting:
         The state, shape (9,), has no momentum where it is a pose, shape (6,). `others` are further
         fields.
         """
+        state, durations = np.asarray(state), np.asarray(durations)
         limit = np.full((durations.size, INPUT_SIZE), robot.max_rotor_speed)
         fields: dict[str, Any] = {
             "state": without_momentum(state) if state.size == POSE_SIZE else state, "goal": goal,

@@ -74,6 +74,7 @@ def roll_out(
     ndarray, shape (N + 1, 9) or (N + 1, 6)
         x_0 ... x_N; poses from a pose.
     """
+    state, durations = np.asarray(state, dtype=float), np.asarray(durations, dtype=float)
     solver = library()
     if solver is None:
         from sphere_nmpc.solver import plain  # loads CasADi

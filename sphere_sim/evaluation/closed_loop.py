@@ -57,8 +57,8 @@ class Trajectory(RobotSeries):
 
     @property
     def settled_after(self) -> float:
-        """Time from which the error stays below 1e-2 to the end [s]; nan where it does not."""
-        stay = stay_below(self.times, self.errors)
+        """Time into the run from which the error stays below 1e-2 [s]; nan where it does not."""
+        stay = stay_below(self.times - self.times[0], self.errors)
         return math.nan if stay is None else stay.since
 
 
@@ -69,10 +69,10 @@ def run_closed_loop(
 ) -> Trajectory:
     """Simulate a plant under a new controller with a goal, a set or shape (6,), or a course.
 
-    The run begins at the start of the plant and lasts `duration`, with a sampling instant every
-    period of the controller and a row of the trajectory every `output_period`, which the
-    controller does not see [s]. `latency` is the age of the newest pose at a sampling instant [s];
-    its stamp is the time of measurement, and before the run the sphere is measured at rest.
+    The run begins at the time and state of the simulator and lasts `duration`, with a sampling
+    instant every period of the controller and a row of the trajectory every `output_period`, which
+    the controller does not see [s]. `latency` is the age of the newest pose at a sampling instant
+    [s]; its stamp is the time of measurement, and before the run the sphere is measured as it is.
     `poses` returns stamps [ns] and poses, shape (6,), that are new; by default they are those of
     the simulator's sensor. `InvalidParameterError` is raised if a latency is given for a source of
     poses that has stamps of its own.
@@ -86,16 +86,16 @@ def run_closed_loop(
     course = goal if isinstance(goal, Course) else Course.of(goal)
     controller.set_goal(course)
     control, output = (round(p * NANOSECONDS) for p in (controller.period, output_period))
-    end = round(duration * NANOSECONDS)
-    delay = round(latency * NANOSECONDS)
-    push_at = -1 if push is None else round(push.time * NANOSECONDS)
+    begin, delay = simulator.now, round(latency * NANOSECONDS)
+    end = begin + round(duration * NANOSECONDS)
+    push_at = -1 if push is None else begin + round(push.time * NANOSECONDS)
     at_push: Vector = np.empty(0)
     rows: list[tuple[float, Vector, Vector, Vector]] = []
     decisions: list[Decision] = []
     holds: list[FirstOrderHold] = []
     pending: deque[tuple[int, float, Vector]] = deque()
     if plain:
-        pending.append((0, 0.0, simulator.measured_state()))
+        pending.append((begin, simulator.time, simulator.measured_state()))
     plant = simulator.plant
     while True:
         now = simulator.now
@@ -106,7 +106,7 @@ def run_closed_loop(
             rows.append((simulator.time, plant.state, plant.rotor_speeds, plant.rotor_torques))
         if now >= end:
             break
-        if plain and (now + delay) % control == 0 and now > 0:
+        if plain and (now + delay) % control == 0 and now > begin:
             pending.append((now + delay, simulator.time, simulator.measured_state()))
         if now % control == 0:
             if not plain:

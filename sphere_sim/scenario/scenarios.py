@@ -249,8 +249,11 @@ def draw_scenarios(
     These are anywhere, far, kilometre, circle, half_turn, upright and typed. On a floor the
     positions are uniform over all of it that has the needed clearance; a goal at its start stays
     there. Scenario i depends on the seed alone, not on `number`.
-    `InvalidParameterError` is raised for a floor without room for the sphere.
+    `InvalidParameterError` is raised if there is no such kind, or for a floor without room for the
+    sphere.
     """
+    if kind not in DRAWS:
+        raise InvalidParameterError("kind", kind, " or ".join(DRAWS))
     scenarios = []
     for i in range(number):
         rng = np.random.default_rng([seed, i])

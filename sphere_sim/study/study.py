@@ -56,6 +56,9 @@ class Study:
     folder: Path
     strategies: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
+
     def run(
         self, workers: Workers | int = 1, best_known: BestKnown | None = None,
         observer: Observer | None = None,

@@ -12,7 +12,7 @@ from sphere_sim.world.imu_sensor import ImuReading, ImuSensor, SimulatedImuSetti
 from sphere_sim.world.plant.contract import Plant
 from sphere_sim.world.plant.factory import make_plant
 from sphere_sim.world.pose_sensor import PoseSensor
-from sphere_sim.world.settings import SimulatorSettings
+from sphere_sim.world.settings import PLANTS, SimulatorSettings
 
 _LONGEST_STEP = 10_000_000
 """Longest step between two evaluations of the command [ns]."""
@@ -42,6 +42,7 @@ class Simulator:
         robot = robot or RobotParameters()
         start = as_state(settings.initial_state)
         self.plant = make_plant(settings.plant, robot, start) if plant is None else plant
+        PLANTS.check(self.plant, plant)
         self.follower = CommandFollower(
             robot.max_rotor_speed, robot.max_rotor_acceleration, settings.command_timeout
         )

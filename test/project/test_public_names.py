@@ -14,6 +14,9 @@ import pytest
 from documented_examples import EXAMPLES
 from notebook_cells import agree
 
+from sphere_nmpc import Controller, Goal, LeastSquaresProblem, RobotParameters, roll_out
+from sphere_sim import Simulator, run_closed_loop
+
 PACKAGES = "sphere_nmpc", "sphere_sim"
 MOST_NAMES = 25
 NAMES = [(package, name) for package in PACKAGES
@@ -39,6 +42,36 @@ def test_packages_load_nothing_before_a_name_is_used(tmp_path) -> None:
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == ""
+
+
+POSE = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("typed", "says"), [
+    ('Controller(strategy="paper")', "strategy: given 'paper', expected an object with plan, "),
+    ('Simulator(plant="rigid_body")', "plant: given 'rigid_body', expected an object with adv"),
+    ("Controller().set_goal((1.0, 2.0))", r"state: given \(2,\), expected the shape \(6,\)"),
+    ("Controller().set_goal([Goal.position(0.0, 0.0)])", r"state: given .*, expected numbers \["),
+    ('draw_scenarios(1, 1, "near")', "kind: given 'near', expected anywhere or "),
+    ('score("papr")', "strategy: given 'papr', expected time_optimal or "),
+    ('score("paper", "point")', "suite: given 'point', expected point-v1 or "),
+])
+def test_what_is_typed_in_another_way_is_refused_in_one_line(typed, says) -> None:
+    names = {name: getattr(importlib.import_module(package), name) for package, name in NAMES}
+    with pytest.raises(ValueError, match=f"^{says}"):
+        eval(typed, names)
+
+
+def test_lists_are_arrays_and_a_second_run_goes_on_from_the_first() -> None:
+    robot, still = RobotParameters(), [[0.0, 0.0], [0.0, 0.0]]
+    assert roll_out(list(POSE), still, [0.5], robot.lumped.as_array())[1].tolist() == list(POSE)
+    problem = LeastSquaresProblem.of_paper(robot, POSE, POSE, [0.0, 0.0])
+    assert problem.state.tolist() == [*POSE, 0.0, 0.0, 0.0]
+    simulator, controller = Simulator(), Controller()
+    for place in (1.0, 0.0):
+        run = run_closed_loop(simulator, controller, Goal.position(place, 0.0), duration=6.0)
+        assert 0.5 < run.settled_after < 6.0 and len(run.times) == 601
+    assert run.times[-1] == 12.0
 
 
 def sources() -> dict[str, str]:

@@ -8,11 +8,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from rclpy.node import Node
-
 from sphere_nmpc.foreign.own_folder import KeptFile, cache_folder
 from sphere_nmpc.reporting.fault_log import FaultLog
 from sphere_nmpc.ros.control_clock import ControlClock
+from sphere_nmpc.ros.guarded_node import GuardedNode
 
 T = TypeVar("T")
 SAVE_EVERY = 1.0
@@ -28,7 +27,7 @@ class Stored(Generic[T]):
     """
 
     def __init__(
-        self, node: Node, memory: Callable[[Path, float], KeptFile[T]], keep: float,
+        self, node: GuardedNode, memory: Callable[[Path, float], KeptFile[T]], keep: float,
         clock: ControlClock, fault_log: FaultLog, what: str, without: str,
     ) -> None:
         name = node.get_fully_qualified_name().strip("/").replace("/", ".")
@@ -38,6 +37,8 @@ class Stored(Generic[T]):
         self._clock = clock
         self._fault_log = fault_log
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stored")
+        # The thread that writes ends with the node.
+        node.resources.callback(self.close)
         self._written: Future[None] | None = None
         self.is_settled = False
         """Whether what was stored has been restored, or is superseded as a new one was given."""

@@ -100,7 +100,7 @@ def _figures(run: Run, plan: DemoPlan) -> dict[str, float]:
     metrics = run.metrics()
     if metrics is None:
         raise BagError(run.path, "holds no goal or no pose after it")
-    stay = stay_below(run.times, run.errors[:, 0], plan.tolerance)
+    stay = stay_below(run.times, run.goal_errors[:, 0], plan.tolerance)
     stay = stay or Stay(math.nan, math.nan, math.nan)
     return dataclasses.asdict(metrics) | {
         "within_s": stay.since, "max_error_after": stay.largest, "p95_error_after": stay.p95

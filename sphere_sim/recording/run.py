@@ -98,7 +98,7 @@ class Run(RobotSeries):
         return nearer_sign(self.goals.values[-1].nearest(last, 0.0), last)
 
     @cached_property
-    def errors(self) -> Vector:
+    def goal_errors(self) -> Vector:
         """The `ERRORS` at each pose to the goal in force, shape (n, 3); nan before the first."""
         found = np.full((self.times.size, len(ERRORS)), np.nan)
         for goal, here in self.goals.during(self.times):

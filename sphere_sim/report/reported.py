@@ -139,7 +139,7 @@ def motion_table(run: Run) -> dict[str, Vector]:
     """
     table = {"time_s": run.times}
     table.update({name: run.states[:, i] for i, name in enumerate(POSE_NAMES)})
-    table |= dict(zip(ERRORS, run.errors.T, strict=True))
+    table |= dict(zip(ERRORS, run.goal_errors.T, strict=True))
     if run.has_floor:
         table["clearance_m"] = run.clearances
     for name, unit, values in (

@@ -39,7 +39,7 @@ def error_over_time(run: Run) -> Figure:
         if run.goal is None:
             mark_missing(axes, "goal")
             return figure
-        norm, distance, angle = run.errors.T
+        norm, distance, angle = run.goal_errors.T
         for errors, dash, colour, name in (
             (norm, "-.", BLACK, r"$\|x - x_d\|$ [m, -]"),
             (distance, "-", DISTANCE, "distance [m]"),

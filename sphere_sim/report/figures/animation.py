@@ -98,7 +98,7 @@ def write_animation(run: Run, path: Path) -> None:
 
     A run that does not settle is shown completely.
     """
-    index, end = settling_index(run.errors[:, 0]), float(run.times[-1])
+    index, end = settling_index(run.goal_errors[:, 0]), float(run.times[-1])
     if index is not None:
         end = min(end, float(run.times[index]) + 0.5)
     instants = np.arange(0.0, end + 1e-9, 1.0 / _FRAME_RATE)
@@ -183,7 +183,7 @@ def _caption(draw: ImageDraw.ImageDraw, run: Run, index: int, radius: float) -> 
     )
     text = f"{run.times[index]:4.1f} s"
     if run.goal is not None:
-        _, distance, angle = run.errors[index].tolist()
+        _, distance, angle = run.goal_errors[index].tolist()
         text += f"     to the goal: {distance:.{digits}f} m"
         if math.isfinite(angle):
             text += f", {math.degrees(angle):.0f}\N{DEGREE SIGN}"

@@ -93,7 +93,8 @@ def _add_legend(figure: Figure, axes: Axes) -> None:
 
 def _draw_errors_and_paths(error: Axes, path: Axes, runs: Sequence[Run]) -> None:
     for i, run in enumerate(runs):
-        error.semilogy(run.times, np.maximum(run.errors[:, 0], SMALLEST_ERROR), **_style(i, run))
+        shown = np.maximum(run.goal_errors[:, 0], SMALLEST_ERROR)
+        error.semilogy(run.times, shown, **_style(i, run))
         path.plot(*run.states[:, :2].T, **{**_style(i, run), "label": None})
     error.axhline(SETTLED_ERROR, color=GREY, linewidth=1.0, linestyle=":")
     label(error, "time [s]", r"$\|x - x_d\|$ [m, -]", "a: error; settled below the dotted line")
@@ -105,6 +106,6 @@ def _end_of_interest(runs: Sequence[Run]) -> float:
     """Return a time after all runs have settled [s]; inf if one has not."""
     ends = []
     for run in runs:
-        index = settling_index(run.errors[:, 0])
+        index = settling_index(run.goal_errors[:, 0])
         ends.append(float("inf") if index is None else float(run.times[index]))
     return max(ends) + _AFTERWARDS

@@ -286,7 +286,7 @@ def test_errors_are_those_to_what_the_goals_demand(read, kinds, options, judged)
             np.testing.assert_allclose(part.goal, part.states[-1], atol=1e-12)
         if orientation is Orientation.ANY:
             assert metrics.settle_time_s == metrics.final_error == 0.0
-            first = run.errors[100 * (number - 1) : 100 * number]
+            first = run.goal_errors[100 * (number - 1) : 100 * number]
             assert np.all(first[:, :2] == 0.0) and np.isnan(first[:, 2]).all()
 
 
@@ -297,7 +297,7 @@ def test_longest_run_is_used_after_a_restart_of_the_simulator(tmp_path) -> None:
     run = read_run(write_rosbag2(tmp_path / "bag", logged))
     expected = read_run(write_rosbag2(tmp_path / "whole", on_the_system_clock(whole)))
     assert run.metrics() == expected.metrics()
-    for name in ("times", "states", "errors"):
+    for name in ("times", "states", "goal_errors"):
         np.testing.assert_array_equal(getattr(run, name), getattr(expected, name))
     assert len(run.plans) == len(expected.plans) == 7 and len(run.solves.times) == 7
     assert run.notes[0].startswith("/pose: time goes back, so the bag holds several runs")

@@ -52,7 +52,7 @@ def solve_all(
             run(problem, start, settings, end - time.perf_counter())
             for problem, start in zip(problems, starts, strict=True)
         ]
-    batches: dict[type, Batch] = _BATCHES.__dict__
+    batches: dict[Any, Batch] = _BATCHES.__dict__
     batch = batches.get(kind)
     if batch is None:
         batch = batches[kind] = Batch(compiled, kind)

@@ -153,6 +153,6 @@ def random_guess(
     intervals = int(rng.integers(*_INTERVALS))
     speeds: Vector = rng.uniform(-max_speed, max_speed, (intervals + 1, INPUT_SIZE))
     speeds[0] = speeds[-1] = 0.0
-    drawn = Guess(np.linspace(0.0, duration, intervals + 1), speeds, goal)
+    drawn = Guess(np.linspace(0.0, duration, intervals + 1, dtype=np.float64), speeds, goal)
     times = grid.coarse(duration)
     return Guess(times, drawn.resampled(times), goal)

@@ -114,8 +114,9 @@ def meeting_guesses(
     best = np.flatnonzero(np.isfinite(found.scores))
     best = best[np.argsort(found.scores[best], kind="stable")[:wanted]]
     partners = found.partners[best]
-    from_start = knots_of(signals[:, best], levels, in_force, drives)
-    from_goal = -knots_of(signals[:, partners], levels, _AT_REST, drives)
+    begin = np.repeat((in_force, _AT_REST), best.size, axis=0).T
+    both = knots_of(signals[:, np.concatenate((best, partners))], levels, begin, drives)
+    from_start, from_goal = both[:, :, : best.size], -both[:, :, best.size :]
     guesses = []
     for k, (i, j) in enumerate(zip(best, partners, strict=True)):
         periods = int(found.periods[i])
@@ -136,11 +137,11 @@ def _signals(rng: np.random.Generator, count: int, mean: float) -> Floats:
     """
     times = mean * rng.standard_exponential((INPUT_SIZE, 2, count), dtype=np.float32)
     switches = rng.integers(3, size=(INPUT_SIZE, count))
-    times[:, 0][switches == 0] = _NEVER
-    times[:, 1][switches < 2] = _NEVER
+    first = np.where(switches == 0, np.float32(_NEVER), times[:, 0])
+    second = np.where(switches < 2, np.float32(_NEVER), times[:, 1])
     signs = np.sign(rng.random((INPUT_SIZE, count), dtype=np.float32) - 0.5)
-    in_order = np.minimum(times[:, 0], times[:, 1]), np.maximum(times[:, 0], times[:, 1])
-    return np.concatenate((signs, np.stack(in_order, axis=1).reshape(4, -1)))
+    in_order = np.stack((np.minimum(first, second), np.maximum(first, second)), axis=1)
+    return np.concatenate((signs, in_order.reshape(4, -1)))
 
 
 def random_guess(

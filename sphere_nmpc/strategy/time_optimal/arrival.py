@@ -57,7 +57,7 @@ _FIRST_PROXIMAL = 1.0
 """First proximal weight of a minimum-time problem [of the unit of time]."""
 _KEEPING_PROXIMAL = 100.0
 """First proximal weight where a guess is to change little [of the unit of time]."""
-_CALL_WORK = 60
+_CALL_WORK = 30
 """Work of a call apart from its iterations."""
 _STEP_WORK = 6
 """Work of an iteration of a minimum-time problem for each interval."""

@@ -44,7 +44,7 @@ _MAX_DIFFERENCE = 0.2
 """Mean difference of the speeds of two motions [of the largest] up to which they are alike."""
 _FIRST_TURNS, _TURNS_GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
-_FIRST_SHARE = 0.5
+_FIRST_SHARE = 0.75
 """Share of half motions and guesses that are tried in a round before the first arrival."""
 _DELAY_GROWTH = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""

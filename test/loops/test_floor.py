@@ -26,7 +26,6 @@ from sampled_loop import SampledLoop
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.floor.route import route_to
-from sphere_nmpc.model.course import Course
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.reporting.conditions import Kind
@@ -193,43 +192,6 @@ def test_a_goal_is_reached_while_the_floor_is_replaced_ten_times_a_second(
         gc.enable()
     assert loop.error() < 1e-2
     assert clearance(loop, floor_of(walls)) >= 0.02
-
-
-def test_a_floor_that_does_not_touch_what_is_planned_changes_nothing_but_the_clearance() -> None:
-    """Announced ten times a second, while a leg is followed and the next one searched for."""
-    loops = []
-    for is_announced in (False, True):
-        loop = rolling([], settings=RATE_50)
-        loop.controller.set_goal(Course.of(pose(2.0, 1.0), pose(4.5, 3.0, SIDEWAYS)))
-        for _ in range(50):
-            loop.run(0.1)
-            loop.controller.floor = floor_of([]) if is_announced else loop.controller.floor
-        loops.append(loop)
-    np.testing.assert_array_equal(loops[0].states, loops[1].states)
-    solved = [[decision.is_new for decision in loop.decisions] for loop in loops]
-    assert solved[0] == solved[1]
-    assert loop.controller.following.course.active.is_last
-    before = loop.decision.plan
-    loop.controller.floor = floor_of([(5.2, 2.5, 5.5, 3.5)])
-    loop.sample()
-    assert loop.decision.plan.hold is before.hold
-    assert loop.decision.plan.clearance < before.clearance
-    loop.controller.floor = floor_of([(4.0, 2.5, 5.0, 3.5)])
-    loop.sample()
-    assert loop.decision.plan.stops and "occupied" in loop.given_up
-
-
-@pytest.mark.parametrize("late", [-0.2, 0.0, 0.2])
-def test_it_rests_before_an_area_that_drives_across_its_way_touches_it(late: float) -> None:
-    """The clearance is more than the area moves until it is announced and the sphere stops."""
-    loop = rolling(
-        floor_of([], clearance=0.1), pose(1.0, 2.0), pose(5.0, 2.0), settings=RATE_50,
-        search_time=0.08,
-    )
-    corners = np.array([(2.5, 2.5), (3.0, 2.5), (3.0, 3.0), (2.5, 3.0)])
-    corners[:, 1] += late
-    assert not loop.run_with_area(corners, np.array([0.0, -0.2]), 9.0).any()
-    assert sum(plan.stops for plan in loop.plans) > 5
 
 
 def test_no_way_is_told_while_the_floor_is_replaced_and_searched_for_at_once_on_the_next() -> None:

@@ -6,7 +6,7 @@ Events come between two calls of `SampledLoop.run`, and rules are checked on wha
 """
 
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -200,7 +200,7 @@ class SampledLoop:
         layers, first = Layers(map=floor.grid), len(self.times)
         while self.time < since + duration - 1e-9:
             moved = layers.with_keepout(1, corners + (self.time - since) * velocity)
-            self.controller.floor = replace(floor, grid=moved.grid(floor.radius), kept={})
+            self.controller.floor = Floor(moved.grid(floor.radius), floor.radius, floor.clearance)
             self.run(0.1)
         places, way = self.places[first:], np.outer(np.array(self.times[first:]) - since, velocity)
         away = places - np.clip(places, corners.min(axis=0) + way, corners.max(axis=0) + way)

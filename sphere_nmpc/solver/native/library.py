@@ -108,6 +108,9 @@ def _opened(path: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
+_intervals = attrgetter("durations.size")
+
+
 class Batch:
     """Problems of one kind that are solved in one call, for one thread at a time.
 
@@ -169,7 +172,7 @@ class Batch:
         time_budget: float,
     ) -> list[Solution]:
         """Solve problems; the arguments are those of `sphere_nmpc.solver.solve.solve_all`."""
-        sizes = [problem.durations.size for problem in problems]
+        sizes = tuple(map(_intervals, problems))
         longest, tuning = max(sizes), (*self._of_settings(settings), time_budget)
         if len(sizes) > self._count or longest > self._longest:
             self._allocate(max(len(sizes), self._count), max(longest, self._longest))

@@ -39,7 +39,7 @@ from sphere_nmpc.solver.problem import (
     SolveStatus,
 )
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_nmpc.solver.solve import solve, solve_all
+from sphere_nmpc.solver.solve import solve_all
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Made, Plan
 from sphere_nmpc.strategy.time_optimal.initial_guesses import Guess
@@ -84,7 +84,7 @@ class Trial(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """Its duration [s]."""
+        """Duration of the motion [s]."""
         return float(self.found.times[-1])
 
 
@@ -221,7 +221,7 @@ class ArrivalSolver:
             initial_damping=(_KEEPING_PROXIMAL if kept else _FIRST_PROXIMAL) * self.grid.unit,
             target_cost=tuning.arrival_error * problem.error_weight if kept else 0.0,
         )
-        solution = solve(problem, guess.speeds[1:], settings, budget)
+        (solution,) = solve_all((problem,), (guess.speeds[1:],), settings, budget)
         error = problem.terminal_error(solution)
         if turns % 2:
             solution.states[steady + 1 :, QUATERNION] *= -1.0

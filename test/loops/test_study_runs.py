@@ -220,7 +220,7 @@ def test_reason_is_that_of_the_last_goal_given_up(map_file, monkeypatch) -> None
 
 def test_runs_on_an_odometry_are_judged_on_the_true_state() -> None:
     settings = [("simulator.pose_source", "odometry"), ("imu.position", "0.1,-0.05,0.08")]
-    conditions = StudyConditions(duration=6.0).with_settings(settings)
+    conditions = StudyConditions(duration=9.0).with_settings(settings)
     results = run_scenario(conditions, SCENARIO).results
     off, turned = (results[name] for name in ODOMETRY_RESULT_COLUMNS)
     # What the odometry does not know the controller cannot put right.

@@ -7,8 +7,9 @@ import time
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from sphere_nmpc.model.course import LegEnd
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -16,6 +17,7 @@ from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.chain import extended, later, replanned
 from sphere_nmpc.strategy.time_optimal.guide import Guide, with_lines
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
@@ -25,6 +27,10 @@ from sphere_nmpc.worker.contract import Store
 
 _SEARCH_SHARE = 0.75
 """Share of the wall time of a search after which the motors are spared with what it has found."""
+_PART_TIMES = 3.5, 8.75
+"""Durations of the parts of a chain that are searched for an earlier arrival [1 / (c1 u_max)]."""
+_PARTS_SHARE = 0.5
+"""Share of the effort of a search for which parts of a chain are searched for."""
 
 
 @lru_cache(maxsize=8)
@@ -53,7 +59,7 @@ class SearchTask:
         Wall time at which the search stops [s].
     from_rest : bool
         Whether the sphere rests until the plan begins, which may then be at any time.
-    known : FirstOrderHold or None
+    known : Plan or None
         Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
         arrival is searched for. None for a new plan.
     failed : int
@@ -79,7 +85,7 @@ class SearchTask:
     effort: int
     longest: float
     from_rest: bool = False
-    known: FirstOrderHold | None = None
+    known: Plan | None = None
     failed: int = 0
     rested: Vector | None = None
     is_next: bool = False
@@ -103,7 +109,7 @@ class SearchTask:
         end = began + (_SEARCH_SHARE if is_paced else 1.0) * self.longest
         guide = Guide(situation, self.solver, self.rested)
         if self.known is None:
-            found = self._new(situation, guide, end)
+            found = self._new(situation, guide, self.failed, end)
         else:
             found = self._earlier(situation, guide, self.known, end)
         if not isinstance(found, Plan):
@@ -112,8 +118,10 @@ class SearchTask:
             found = self._paced(situation, found, began + self.longest)
         return replace(found, made=replace(found.made, motion=self.seed))
 
-    def _new(self, situation: Situation, guide: Guide, end: float) -> Plan | str | None:
-        guidance = guide.guidance(self.failed)
+    def _new(
+        self, situation: Situation, guide: Guide, failed: int, end: float
+    ) -> Plan | str | None:
+        guidance = guide.guidance(failed)
         if guidance.reason:
             return guidance.reason
         for aim in guidance.aims:
@@ -132,18 +140,53 @@ class SearchTask:
         return found
 
     def _earlier(
-        self, situation: Situation, guide: Guide, known: FirstOrderHold, end: float
-    ) -> Plan | None:
+        self, situation: Situation, guide: Guide, known: Plan, end: float
+    ) -> Plan | str | None:
         """Return a plan with an earlier arrival than the one that is known; None without one."""
-        solver, goal = self.solver, situation.goal
-        start = solver.solve(situation, goal, known, budget=self.longest, kept=True)
-        if start.error > self.tuning.arrival_error:
+        solver, is_passed = self.solver, known.leg.end is LegEnd.THROUGH
+        goal = known.leg.goal if is_passed else situation.goal
+        start = solver.solve(situation, goal, known.hold, budget=self.longest, kept=True)
+        start = replace(start, leg=replace(known.leg, goal=start.leg.goal))
+        is_kept = start.error <= self.tuning.arrival_error
+        is_chain = not situation.floor.is_empty and situation.has_small_momentum
+        if is_passed and not (is_chain and is_kept):
+            return self._new(situation, guide, self.failed, end)
+        if not is_kept:
             return None
-        search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
-        found = search.improve_once(end)
-        if found is start or found is None or found.duration + self.spared >= start.duration:
-            return None
-        return found
+        if is_chain and not start.made.turns and not situation.goal.rate.any():
+            best = self._improved(situation, start, end)
+        else:
+            search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
+            best = search.improve_once(end) or start
+        return best if best.cost + self.spared < start.cost else None
+
+    def _improved(self, situation: Situation, plan: Plan, end: float) -> Plan:
+        """Return a chain that is extended, and of which parts take less time, or itself."""
+        solver, rng, work = self.solver, np.random.default_rng(self.seed), 0
+        shortest, longest = (ratio * solver.grid.unit for ratio in _PART_TIMES)
+        if plan.leg.end is LegEnd.THROUGH:
+            begin = max(0.0, plan.hold.end - longest * rng.random() ** 2)
+            there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
+            guide = Guide(there, solver, self.rested)
+            found = self._new(there, guide, 0, end)
+            if isinstance(found, Plan):
+                whole = extended(situation, plan, begin, found, solver)
+                if whole is not None and whole.cost < plan.cost:
+                    plan = whole
+        while work < _PARTS_SHARE * self.effort and time.perf_counter() < end:
+            left = plan.hold.end
+            length = min(left, rng.uniform(shortest, longest))
+            begin = min(max(0.0, rng.uniform(-0.5 * length, left - 0.5 * length)), left - length)
+            times = plan.hold.times
+            begin, until = (times[np.argmin(abs(times - one))] for one in (begin, begin + length))
+            if until - begin < 4.0 * solver.grid.spacing:
+                break
+            seed = int(rng.integers(2**31))
+            whole, spent = replanned(situation, plan, begin, until, solver, seed, end)
+            if whole is not None and whole.cost < plan.cost:
+                plan = whole
+            work += spent
+        return plan
 
     def _paced(self, situation: Situation, found: Plan, end: float) -> Plan:
         """Return a plan that spares the motors near the one found; without one that itself."""

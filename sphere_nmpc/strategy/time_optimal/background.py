@@ -77,6 +77,8 @@ class BackgroundSearch:
         """Solver with the acceleration that the drives attain, for new plans."""
         self._task: tuple[SearchTask, Situation] | None = None
         """The search under way, and the situation at the control time at which its plan begins."""
+        self._searched: Vector = np.full(4, np.inf)
+        """Constants of the plant that the last search for the present leg was for."""
         self._seeds = itertools.count(1)
         self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
@@ -164,6 +166,11 @@ class BackgroundSearch:
         """Control time from which on the next search that is not urgent begins [s]."""
         return self.a_period_after(self.improved_at)
 
+    def is_for(self, situation: Situation) -> bool:
+        """Return whether the last search for the present leg was for the plant of a situation."""
+        changes = np.abs(situation.constants.as_array() / self._searched - 1.0)
+        return bool(np.max(changes) < self._tuning.other_plant)
+
     def may_find(self, situation: Situation) -> bool:
         """Return whether to search; where there was no way on this floor, once a period."""
         if not self.no_way or self._no_way_on is not situation.floor:
@@ -181,8 +188,10 @@ class BackgroundSearch:
     ) -> None:
         """Begin a search; see `SearchTask`.
 
-        `deadline` is the steady clock reading [s] at which one in line stops. It `is_new` unless
-        a plan to the goal itself is followed: failed searches then make the local goal nearer.
+        `deadline` is the steady clock reading [s] at which one in line stops. With a plan `known`
+        it is one round, or where the plant is another one all that is to be had in time. It
+        `is_new` unless a plan to the goal itself is followed: failed searches then make the local
+        goal nearer.
         `leg_began` is the control time at which the leg has begun [s].
         """
         worker, tuning = self._by, self._tuning
@@ -190,13 +199,19 @@ class BackgroundSearch:
         failed = self.failed_ahead if is_next else self.failed
         growth = tuning.growth(failed) if from_rest else 1.0
         longest = growth * tuning.longest_search
+        effort = round(growth * self._settings.planning_effort)
+        if known is not None:
+            effort *= not self.is_for(start)
+            longest = min(longest, self._ahead) if effort and not from_rest else longest
+        if not is_next:
+            self._searched = start.constants.as_array()
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         settings = self._settings
         asked = leg_began + settings.arrive_at - start.time if settings.arrive_at else -math.inf
         task = SearchTask(
             solver.robot, tuning, start.from_zero(), next(self._seeds),
-            round(growth * settings.planning_effort), longest, from_rest,
+            effort, longest, from_rest,
             None if known is None else known.delayed(-start.time), failed if is_new else 0, rested,
             is_next, settings.time_margin, asked, spared,
         )

@@ -275,7 +275,8 @@ class Machine:
             return followed
         is_passed = plan.leg.end is LegEnd.THROUGH
         anew = is_passed or not suits
-        if not anew and (now <= search.next_at or self._is_improved(followed, now)):
+        waits = now <= search.next_at and search.is_for(situation)
+        if not anew and (waits or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None
         start = later(situation, plan.hold, search.begins(now), solver.grid.fine)

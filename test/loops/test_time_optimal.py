@@ -325,3 +325,20 @@ def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is(
     plan = used.plan(replace(begun, time=now, state=carried))
     assert plan.status is PlanStatus.SOLVED
     assert state_error(end_of(carried, plan.hold, 0.05), FIRST.goal) < 1e-3
+
+
+@pytest.mark.parametrize(("change", "searched"), [(1e-3, False), (0.05, True)])
+def test_plan_for_another_plant_is_searched_for_at_once_with_the_effort_of_a_new_one(
+    change: float, searched: bool
+) -> None:
+    now, used, begun = 0.0, planner(HIGH_RATE), of_case(1)
+    worker = DelayedWorker(lambda: now, 0.0)
+    used.search_beside(worker)
+    used.plan(begun)  # begins the search, whose plan is taken
+    plan = used.plan(begun)
+    now, number = 0.6 * SETTINGS.period, len(worker.tasks)  # a search of the first plan has ended
+    gain = (1.0 + change) * begun.constants.input_gain
+    other = replace(begun.constants, input_gain=gain)
+    used.plan(with_plant(later(begun, plan.hold, now, 0.05), constants=other))
+    efforts = [task.effort for task in worker.tasks[number:]]
+    assert efforts == [SETTINGS.planning_effort] * searched

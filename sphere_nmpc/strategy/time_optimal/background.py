@@ -16,6 +16,7 @@ import numpy as np
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
@@ -77,8 +78,8 @@ class BackgroundSearch:
         """Solver with the acceleration that the drives attain, for new plans."""
         self._task: tuple[SearchTask, Situation] | None = None
         """The search under way, and the situation at the control time at which its plan begins."""
-        self._searched: Vector = np.full(4, np.inf)
-        """Constants of the plant that the last search for the present leg was for."""
+        self.plant: PlantEstimate | None = None
+        """The plant that the last search for the present leg was for."""
         self._seeds = itertools.count(1)
         self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
@@ -168,8 +169,11 @@ class BackgroundSearch:
 
     def is_for(self, situation: Situation) -> bool:
         """Return whether the last search for the present leg was for the plant of a situation."""
-        changes = np.abs(situation.constants.as_array() / self._searched - 1.0)
-        return bool(np.max(changes) < self._tuning.other_plant)
+        plant, before = situation.plant, self.plant
+        if before is None or plant is before:
+            return before is not None
+        changes = plant.constants.as_array() / before.constants.as_array() - 1.0
+        return bool(np.max(np.abs(changes)) < self._tuning.other_plant)
 
     def may_find(self, situation: Situation) -> bool:
         """Return whether to search; where there was no way on this floor, once a period."""
@@ -204,7 +208,7 @@ class BackgroundSearch:
             effort *= not self.is_for(start)
             longest = min(longest, self._ahead) if effort and not from_rest else longest
         if not is_next:
-            self._searched = start.constants.as_array()
+            self.plant = start.plant
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         settings = self._settings

@@ -275,7 +275,8 @@ class Machine:
             return followed
         is_passed = plan.leg.end is LegEnd.THROUGH
         anew = is_passed or not suits
-        waits = now <= search.next_at and search.is_for(situation)
+        is_same = situation.plant is search.plant  # as at nearly every sample
+        waits = now <= search.next_at and (is_same or search.is_for(situation))
         if not anew and (waits or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None

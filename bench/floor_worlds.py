@@ -4,12 +4,15 @@
 
     python bench/floor_worlds.py kinds --runs 40 --json out/floor_worlds.json    # an hour or more
     python bench/floor_worlds.py gaps --only doors --runs 5
+    python bench/floor_worlds.py areas
 
 Contacts are judged by the world's rectangles and discs along the path of the true sphere, every
 millisecond; on the ideal plant also along the path that the judge integrates by itself. `gaps` are
 widths of doorways beyond the diameter. `bench/documents/figures.py worlds` draws the file.
+In `areas` one to keep out of is announced ten times a second, and searches take a simulated time.
 """
 
+import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,10 +20,12 @@ from pathlib import Path
 from typing import Any
 
 sys.path.append(str(Path(__file__).parent / "documents"))
+sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 
 import numpy as np
-from tables import Row, Table, conditions_of, print_tables
-from worlds import KINDS, SPEED, draw_task, draw_world, integrated, longest_run
+from sampled_loop import SampledLoop
+from tables import Row, Table, conditions_of, median_and_worst, print_tables
+from worlds import KINDS, SIDE, SPEED, World, draw_task, draw_world, integrated, longest_run
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.state import POSITION
@@ -34,6 +39,14 @@ from sphere_sim.world.walls import walls_of
 
 _STEP = 1e-3
 """Time between two looks of the judge [s]."""
+_AREAS = (
+    ("none", 0.0, 0.03), ("stands beside", 0.0, 0.03), ("moves beside", 0.3, 0.03),
+    ("crosses the way", 0.1, 0.03), ("crosses the way", 0.3, 0.03), ("crosses the way", 0.3, 0.15),
+    ("over the goal", 0.3, 0.03),
+)
+"""What an area does, its speed [m/s], and the clearance [m]."""
+_SQUARE = 0.25 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+"""Corners of an area about its centre [m]."""
 
 
 def run(conditions: StudyConditions, kind: str, seed: int, gap: float | None) -> dict[str, Any]:
@@ -71,6 +84,50 @@ def run(conditions: StudyConditions, kind: str, seed: int, gap: float | None) ->
         "given_up": found.decisions[-1].plan.given_up, "goal": goal.tolist(),
         "path": found.states[::10, POSITION].tolist(), "walls": world.walls, "discs": world.discs,
     }
+
+
+def run_with_area(
+    conditions: StudyConditions, area: str, speed: float, kind: str, seed: int
+) -> dict[str, Any]:
+    """Run a task of a world while an area moves, and return its figures."""
+    rng, radius = np.random.default_rng(seed), conditions.robot.shell_radius
+    world = World(kind) if kind == "open" else draw_world(kind, rng)
+    floor = Floor(world.grid(), radius, conditions.floor.clearance)
+    start, goal, length = draw_task(world, floor, rng)
+    place, way = 0.5 * (start + goal)[POSITION], (goal - start)[POSITION]
+    across = np.array([-way[1], way[0]]) / np.linalg.norm(way)
+    across *= np.sign(across @ (0.5 * SIDE - place))
+    met = 0.5 * length / SPEED + 1.0
+    if area == "over the goal":
+        place, met = goal[POSITION], 2.0 * met + 3.0
+    elif area.endswith("beside"):
+        place, met = place + 3.0 * across, 0.0
+    loop = SampledLoop(start, conditions.controller, goal=goal, floor=floor, search_time=0.08)
+    in_motion = np.zeros(0)
+    if area == "none":
+        loop.run(longest_run(length))
+    else:
+        corners, velocity = place - met * speed * across + _SQUARE, speed * across
+        in_motion = loop.run_with_area(corners, velocity, longest_run(length))
+    return {
+        "settled": finite(loop.settled()), "plans": loop.controller.plans,
+        "tasks": len(loop.worker.tasks), "solves": sum(each.is_new for each in loop.decisions),
+        "contacts": in_motion.size, "in motion": int(in_motion.sum()),
+    }
+
+
+def _of_areas(number: int, seed: int) -> Iterator[Row]:
+    for kind, (area, speed, clearance) in itertools.product(("open", "discs"), _AREAS):
+        given = conditions_of(f"control_rate=50 floor.clearance={clearance}", 30.0)
+        runs = [(given, area, speed, kind, each) for each in range(seed, seed + number)]
+        yield Row((area, speed, clearance, kind), runs)
+
+
+def _area_cells(rows: list[dict[str, Any]], _: object) -> list[object]:
+    """Return the cells of all runs with an area."""
+    settled = [row["settled"] for row in rows if row["settled"] is not None]
+    sums = [sum(row[name] for row in rows) for name in list(rows[0])[1:]]
+    return [f"{len(settled)} of {len(rows)}", median_and_worst(settled, ".2f"), *sums]
 
 
 def _of_kinds(number: int, seed: int) -> Iterator[Row]:
@@ -111,6 +168,10 @@ _COLUMNS = (
 TABLES = {
     "kinds": Table(_COLUMNS, _of_kinds, run, _cells, number=10, seed=0),
     "gaps": Table(_COLUMNS, _of_gaps, run, _cells, number=10, seed=0),
+    "areas": Table((
+        "area", "speed [m/s]", "clearance [m]", "world", "settled", "after: median (worst) [s]",
+        "motions", "searches", "solves", "contacts", "begun in motion",
+    ), _of_areas, run_with_area, _area_cells, number=6, seed=0),
 }
 
 if __name__ == "__main__":

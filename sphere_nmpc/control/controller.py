@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from sphere_nmpc.control.active_course import ActiveCourse
 from sphere_nmpc.control.course_following import CourseFollowing
 from sphere_nmpc.control.decision import Decision
-from sphere_nmpc.control.keeping_clear import clear_plan, stop_if_refused
+from sphere_nmpc.control.keeping_clear import clear_plan, kept_on_floor, stop_if_refused
 from sphere_nmpc.control.link import Link
 from sphere_nmpc.control.planner import Planner
 from sphere_nmpc.control.pose_stream import PoseGate
@@ -334,6 +334,8 @@ class Controller:
             disturbance = estimate.disturbance
         if active is not None and not active.is_last and estimate is not None and self._enabled:
             active = self.following.on_its_leg(time, state, before, self._settings)
+        if before is not None and before.situation.floor is not self._floor and estimate:
+            before = kept_on_floor(before, time, estimate, self._floor, self._robot)
         goal = None if active is None else active.goal.nearest(state, time)
         if active is None or goal is None or not self._enabled:
             mode = Kind.NO_GOAL if self._enabled else Kind.DISABLED

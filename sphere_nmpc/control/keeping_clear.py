@@ -3,16 +3,20 @@
 """Guard of the loop on a floor: goals that are refused, and plans without a certificate.
 
 Whatever the strategy is, a goal that is refused leads to a stop, and so does a plan that has no
-certificate (`sphere_nmpc.strategy.clearance`); for commands see `Commands`.
+certificate (`sphere_nmpc.strategy.clearance`); for commands see `Commands`. What changes on the
+floor without touching the plan in force is no reason for another one.
 """
 
 import math
 from dataclasses import replace
 
+from sphere_nmpc.estimation.pose_filter import Estimate
+from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.reporting.conditions import Kind
 from sphere_nmpc.strategy.clearance import Margin, clearance_of, refusal
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
 from sphere_nmpc.strategy.rest import come_to_rest, stop
 
@@ -56,3 +60,22 @@ def clear_plan(situation: Situation, plan: Plan, robot: RobotParameters, strateg
     if plan.status is PlanStatus.HOLDING:  # what a small error takes to be corrected
         return replace(plan, hold=stopped.hold, states=stopped.states)
     return stopped
+
+
+def kept_on_floor(
+    in_force: InForce, time: float, estimate: Estimate, floor: Floor, robot: RobotParameters
+) -> InForce:
+    """Return a plan in force as one for another floor, if what is left of it is certified there.
+
+    It is returned as it is otherwise, and then no longer stands.
+    """
+    plan, made_for = in_force.plan, replace(in_force.situation, floor=floor)
+    rest = plan.rest(time)
+    now = replace(
+        made_for, time=time, state=estimate.state, covariance=estimate.covariance, in_force=rest
+    )
+    found = clear_plan(now, replace(plan, hold=rest), robot, "")
+    if found.hold is not rest or refusal(now, floor) is not None:
+        return in_force
+    plan = replace(plan, clearance=found.clearance)
+    return replace(in_force, plan=plan, situation=made_for)

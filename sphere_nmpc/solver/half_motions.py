@@ -98,8 +98,8 @@ def knots_of(signals: Floats, levels: int, begin: Vector, drives: Drives) -> Vec
         and of the second [s], in ascending order.
     levels : int
         Number of periods.
-    begin : ndarray, shape (2,)
-        Rotor speeds at the first knot [rad/s].
+    begin : ndarray, shape (2,) or (2, M)
+        Rotor speeds at the first knot [rad/s], or those of each.
     drives : Drives
         Period, ramp and limit.
     """
@@ -110,7 +110,7 @@ def knots_of(signals: Floats, levels: int, begin: Vector, drives: Drives) -> Vec
         for side in (drives.ramp, -drives.ramp)
     )
     speeds: Vector = drives.limit * signals[:2] * (after - before) / (2.0 * drives.ramp)
-    speeds[0] = begin[:, None]
+    speeds[0] = begin.reshape(2, -1)
     for last, wanted in itertools.pairwise(speeds):
         wanted[:] = np.minimum(np.maximum(wanted, last - change), last + change)
     return speeds

@@ -83,11 +83,11 @@ def path_law(
     power = 1 / (1 - r3)
     offset = east * (
         bend * ca.fmin(ca.fmax(tangent, -1.0), 1.0) / (power - 1)
-        - given[0] * ca.fabs(axis[2]) ** power / level
+        - given[0] * _exp(power * ca.log1p(ca.fabs(axis[2]) - 1)) / level
     )
     error = ca.atan2(east * across, east * along) - offset
     large = (error / _LARGE_HEADING_ERROR) ** 2
-    near = ca.exp(-((tangent / _WIDTH) ** 2) * (1 + large))
+    near = _exp(-((tangent / _WIDTH) ** 2) * (1 + large))
     slower = 1 / (1 + near * large)
     weight = _TURN_WEIGHT * near
     spin = slower * bend / r3 + _TURN_GAIN * ca.fmin(speed, 1.0) * error
@@ -100,6 +100,15 @@ def path_law(
     # Rolling along a rotor's axis takes 1 / c1: more is slower.
     share = 1 / ca.fmax(1.0, gain * ca.fmax(ca.fabs(u[0]), ca.fabs(u[1])))
     return ca.vertcat(share * u, share * slower * ca.vertcat(pace, speed), tangent)
+
+
+def _exp(exponent: Expression) -> Expression:
+    """Return the exponential of what is negative.
+
+    The symbols of exp, log and pow in a newer glibc are not found in an older one, those of expm1
+    and log1p are.
+    """
+    return 1 + ca.expm1(exponent)
 
 
 def path_law_function() -> ca.Function:

@@ -4,14 +4,16 @@
 
 import math
 import threading
+import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from sphere_nmpc.model.state import Vector
-from sphere_nmpc.solver.native.library import Slot, library
+from sphere_nmpc.solver.native.library import Batch, library
 from sphere_nmpc.solver.problem import LeastSquaresProblem, Problem, Solution, SolverSettings
 
-_SLOTS = threading.local()
+_BATCHES = threading.local()
 _DEFAULTS = SolverSettings()
 
 
@@ -28,17 +30,30 @@ def solve(
     """
     if others:
         settings = replace(settings, **others)
-    compiled = library()
+    return solve_all((problem,), (start,), settings, time_budget)[0]
+
+
+def solve_all(
+    problems: Sequence[Problem], starts: Sequence[Vector], settings: SolverSettings,
+    time_budget: float = math.inf,
+) -> list[Solution]:
+    """Solve problems of one kind, at least one, in one call, each as `solve` does.
+
+    They may differ in all but the settings. The time budget is that of all of them.
+    """
+    compiled, kind = library(), type(problems[0])
     if compiled is None:
         from sphere_nmpc.solver.minimum_time import minimise_time  # loads CasADi
         from sphere_nmpc.solver.plain import minimise
 
-        if isinstance(problem, LeastSquaresProblem):
-            return minimise(problem, start, settings, time_budget)
-        return minimise_time(problem, start, settings, time_budget)
-    slots: dict[Any, Slot] = _SLOTS.__dict__
-    key = type(problem), problem.durations.size
-    slot = slots.get(key)
-    if slot is None:
-        slot = slots[key] = Slot(compiled, *key)
-    return slot.solve(problem, start, settings, time_budget)
+        end = time.perf_counter() + time_budget
+        run: Any = minimise if kind is LeastSquaresProblem else minimise_time
+        return [
+            run(problem, start, settings, end - time.perf_counter())
+            for problem, start in zip(problems, starts, strict=True)
+        ]
+    batches: dict[Any, Batch] = _BATCHES.__dict__
+    batch = batches.get(kind)
+    if batch is None:
+        batch = batches[kind] = Batch(compiled, kind)
+    return batch.solve(problems, starts, settings, time_budget)

@@ -255,6 +255,8 @@ def without_collisions(situation: Situation, side: Side, beyond: Vector | None =
 
     They take place at a displacement `beyond`, shape (2,) [m], if it is given.
     """
+    if situation.floor.is_empty:
+        return side
     paths: NDArray[np.floating] = side.states[:, :2].transpose(0, 2, 1)
     if beyond is not None:
         paths = paths + beyond

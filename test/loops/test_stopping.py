@@ -118,9 +118,9 @@ def another_goal(loop: SampledLoop) -> None:
     loop.controller.set_goal(Goal(as_state([0.01, 0, 1, 0, 0, 0])))
 
 
-def floor(loop: SampledLoop) -> None:
-    free = np.zeros((400, 400), dtype=bool)
-    loop.controller.floor = Floor(Grid(free, 0.05, (-10.0, -10.0, 0.0)), RADIUS, 0.05)
+def floor_in_the_way(loop: SampledLoop) -> None:
+    occupied = np.ones((400, 400), dtype=bool)
+    loop.controller.floor = Floor(Grid(occupied, 0.05, (-10.0, -10.0, 0.0)), RADIUS, 0.05)
 
 
 def shift(loop: SampledLoop) -> None:
@@ -137,7 +137,7 @@ def pause(loop: SampledLoop) -> None:
     loop.controller.enabled = True
 
 
-@pytest.mark.parametrize("event", [another_goal, floor, shift, another_weight, pause])
+@pytest.mark.parametrize("event", [another_goal, floor_in_the_way, shift, another_weight, pause])
 def test_what_is_new_leads_to_another_plan(
     kept: SampledLoop, event: Callable[[SampledLoop], None]
 ) -> None:

@@ -98,7 +98,7 @@ def test_arrival_satisfies_every_limit_and_brings_the_plant_to_the_goal() -> Non
 
 
 def test_search_goes_on_to_an_earlier_arrival_and_repeats_itself() -> None:
-    first, second = (ArrivalSearch(SOLVER, of_case(1), 2) for _ in range(2))
+    first, second = (ArrivalSearch(SOLVER, of_case(1), 4) for _ in range(2))
     durations = []
     for _ in range(4):
         found, again = first.improve(20_000), second.improve(20_000)

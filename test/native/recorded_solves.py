@@ -8,17 +8,17 @@ strategy, by the library of this processor. Each is the number of its function, 
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from unittest import mock
 
 import numpy as np
 
-from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native.layout import MEMBERS
-from sphere_nmpc.solver.native.library import Slot
-from sphere_nmpc.solver.problem import LeastSquaresProblem, Problem, Solution, SolverSettings
+from sphere_nmpc.solver.native.library import Batch
+from sphere_nmpc.solver.problem import LeastSquaresProblem, Problem, Solution
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.study.conditions import StudyConditions
 from sphere_sim.study.single_run import run_scenario
@@ -29,22 +29,25 @@ ARRAYS = ("durations", "lower", "upper", "start", "inputs", "states")
 
 def record(file: BinaryIO) -> int:
     """Write the solves of the paper's cases; return their number."""
-    solve, number = Slot.solve, 0
+    solve, number = Batch.solve, 0
 
     def recorded(
-        slot: Slot, problem: Problem, start: Vector, settings: SolverSettings, budget: float
-    ) -> Solution:
+        batch: Batch, problems: Sequence[Problem], *others: Any
+    ) -> list[Solution]:
         nonlocal number
-        solution, number = solve(slot, problem, start, settings, budget), number + 1
-        file.write(np.int64(not isinstance(problem, LeastSquaresProblem)).tobytes())
-        for member in MEMBERS:
-            value = np.zeros(1) if member.is_pointer else slot.values[member.name]
-            file.write(value.tobytes())
-        for name in ARRAYS:
-            file.write(slot.values[name].tobytes())
-        return solution
+        solutions, number = solve(batch, problems, *others), number + len(problems)
+        for problem, row in zip(problems, batch.rows, strict=False):
+            file.write(np.int64(not isinstance(problem, LeastSquaresProblem)).tobytes())
+            for member in MEMBERS:
+                value = np.zeros(1) if member.is_pointer else row[member.name]
+                file.write(value.tobytes())
+            n = problem.intervals
+            for name in ARRAYS:
+                size = n + 1 if name in ("inputs", "states") else n
+                file.write(row[name][:size].tobytes())
+        return solutions
 
-    with mock.patch.object(Slot, "solve", recorded):
+    with mock.patch.object(Batch, "solve", recorded):
         for strategy in ("time_optimal", "plan_keeping", "paper"):
             settings = replace(StudyConditions().controller, strategy=strategy)
             conditions = StudyConditions(controller=settings, duration=6.0)

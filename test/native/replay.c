@@ -18,7 +18,7 @@
 
 #include "problem.inc"
 
-typedef void solver(problem *);
+typedef void solver(int64_t, problem *);
 
 static double *numbers(FILE *file, int64_t count)
 {
@@ -76,7 +76,7 @@ int main(int count, char **arguments)
         p.workspace = numbers(NULL, workspace(n));
         recorded.inputs = numbers(file, 2 * (n + 1));
         recorded.states = numbers(file, 9 * (n + 1));
-        solve[kind](&p);
+        solve[kind](1, &p);
         distance = difference(p.inputs, recorded.inputs, 2 * (n + 1), p.input_scale);
         distance = fmax(distance, difference(p.states, recorded.states, 9 * (n + 1), 1.0));
         distance = fmax(distance, difference(&p.cost, &recorded.cost, 1, 1.0));

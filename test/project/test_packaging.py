@@ -3,6 +3,7 @@
 """Installations by pip and by colcon are complete."""
 
 import os
+import platform
 import re
 import shlex
 import shutil
@@ -19,6 +20,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from sphere_nmpc.solver.native.codegen import generated
+from sphere_nmpc.solver.native.library import FOLDER
 from sphere_sim.cli import main as cli
 
 ROOT = Path(__file__).parents[2]
@@ -100,6 +102,17 @@ def test_wheel_is_complete(tree, tmp_path, environment) -> None:
     executables = {f"sphere_nmpc-0.1.0.data/data/lib/sphere_nmpc/{verb}" for verb in cli.VERBS}
     assert executables <= names
     assert re.findall(r"^(\w+) =", entry_points, re.MULTILINE) == ["sphere_nmpc"]
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "aarch64"), reason="has no wheels")
+def test_compiled_solver_needs_no_newer_glibc_than_its_wheels_say() -> None:
+    promised = re.search(r"platform=manylinux_(\d+)_(\d+)", (ROOT / ".ci/wheels").read_text())
+    libraries = list(FOLDER.glob("solver*.so"))
+    needed = {
+        tuple(map(int, version.split(b".")))
+        for file in libraries for version in re.findall(rb"GLIBC_([\d.]+)", file.read_bytes())
+    }
+    assert libraries and max(needed, default=(0,)) <= tuple(map(int, promised.groups()))
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from sphere_nmpc.control.controller import Controller
 from sphere_nmpc.control.decision import Decision
 from sphere_nmpc.estimation.pose_filter import Estimate
 from sphere_nmpc.floor.floor import Floor
+from sphere_nmpc.floor.layers import Layers
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
@@ -188,6 +189,23 @@ class SampledLoop:
             self.sample()
             self.advance(min(period - self.delay, end - self.time))
         return self.plans[before:]
+
+    def run_with_area(self, corners: Vector, velocity: Vector, duration: float) -> Vector:
+        """Run while an upright rectangle, by its corners, shape (4, 2) [m], moves on the floor.
+
+        Ten times a second it is announced. Return whether the sphere moves, for each time that
+        the rectangle begins to touch it.
+        """
+        floor, since = self.controller.floor, self.time
+        layers, first = Layers(map=floor.grid), len(self.times)
+        while self.time < since + duration - 1e-9:
+            moved = layers.with_keepout(1, corners + (self.time - since) * velocity)
+            self.controller.floor = Floor(moved.grid(floor.radius), floor.radius, floor.clearance)
+            self.run(0.1)
+        places, way = self.places[first:], np.outer(np.array(self.times[first:]) - since, velocity)
+        away = places - np.clip(places, corners.min(axis=0) + way, corners.max(axis=0) + way)
+        touches = np.linalg.norm(away, axis=1) < floor.radius
+        return np.diff(places, axis=0).any(axis=1)[touches[1:] & ~touches[:-1]]
 
     def path(self) -> Vector:
         """Return the path of the hold in force from now on, at poses 1 mm apart, shape (K, 6)."""

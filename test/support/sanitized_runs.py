@@ -22,7 +22,7 @@ from sphere_nmpc.model.state import Vector
 from sphere_nmpc.solver.native import library
 from sphere_nmpc.solver.problem import End, MinimumTimeProblem, SolverSettings
 from sphere_nmpc.solver.roll_out import propagate, roll_out
-from sphere_nmpc.solver.solve import solve
+from sphere_nmpc.solver.solve import solve, solve_all
 
 SOURCES = Path(__file__).parents[2] / "sphere_nmpc" / "solver" / "native"
 HORIZONS = (1, 2, 3, 4, 12)
@@ -59,6 +59,13 @@ def ordinary_calls(n: int) -> None:
                 problem.state, random_start(n + 1), problem.durations, problem.constants,
                 problem.max_step, disturbance,
             )
+
+
+def calls_of_several() -> None:
+    """Solve problems of several lengths in one call."""
+    for kind, changes in KINDS.items():
+        problems = [make_problem(kind, n, intervals=n, fixed={}, **changes) for n in HORIZONS]
+        solve_all(problems, [random_start(n) for n in HORIZONS], FEW)
 
 
 def edge_cases(n: int) -> None:
@@ -111,6 +118,7 @@ def main() -> None:
     for n in HORIZONS:
         ordinary_calls(n)
         edge_cases(n)
+    calls_of_several()
     threads = [threading.Thread(target=ordinary_calls, args=(n,)) for n in (3, 4, 4)]
     for thread in threads:
         thread.start()

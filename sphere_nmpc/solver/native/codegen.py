@@ -38,8 +38,9 @@ _BY_PLANT = ("q", "momentum", "p", "torques")
 """What a step is differentiated by: for a solve without and with momentum, for an estimator."""
 
 _CALL = {
-    ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_FABS: "fabs",
-    ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax", ca.OP_ATAN2: "atan2", ca.OP_POW: "pow",
+    ca.OP_SQRT: "sqrt", ca.OP_EXPM1: "expm1", ca.OP_LOG1P: "log1p", ca.OP_SIN: "sin",
+    ca.OP_COS: "cos", ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax",
+    ca.OP_ATAN2: "atan2",
 }
 _SYMBOL = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/", ca.OP_LE: "<="}
 _TANGENT_NAME = {ca.OP_ADD: "TANGENT_SUM", ca.OP_SUB: "TANGENT_DIFFERENCE"}

@@ -176,15 +176,15 @@ static int64_t collect(int64_t count, int64_t level, int64_t corner, const float
     const float *at = states + level * 6 * count;
     const int64_t stride = count + LANES;
     int64_t n = 0;
-    for (int64_t i = 0; i < count; i++) {
+    for (int64_t i = 0; i < count; i++) { /* a branch would be mispredicted */
         const float dx = at[i] - (float)end[0], dy = at[count + i] - (float)end[1];
-        if (steady[i] > level || corners[i] != corner
-            || dx * dx + dy * dy > (float)(reach * reach))
-            continue;
-        for (int c = 0; c < 6; c++)
-            found[c * stride + n] = at[c * count + i];
-        which[n++] = (int32_t)i;
+        which[n] = (int32_t)i;
+        n += (steady[i] <= level) & (corners[i] == corner)
+             & !(dx * dx + dy * dy > (float)(reach * reach));
     }
+    for (int c = 0; c < 6; c++)
+        for (int64_t i = 0; i < n; i++)
+            found[c * stride + i] = at[c * count + which[i]];
     for (int64_t i = n; i < n + LANES; i++)
         for (int c = 0; c < 6; c++)
             found[c * stride + i] = c < 2 ? 1e9f : 0.0f;

@@ -30,8 +30,8 @@ STATUSES = tuple(SolveStatus)
 _ADDRESS, _COUNT, _NUMBER = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 _KINDS = {_ADDRESS: "address", _COUNT: "count", _NUMBER: "number", None: "nothing"}
 FUNCTIONS: dict[str, tuple[Any, ...]] = {
-    "solve_least_squares": (None, _ADDRESS),
-    "solve_minimum_time": (None, _ADDRESS),
+    "solve_least_squares": (None, _COUNT, _ADDRESS),
+    "solve_minimum_time": (None, _COUNT, _ADDRESS),
     "hold_roll_out": (None, _COUNT, _NUMBER, *[_ADDRESS] * 5),
     "hold_propagate": (None, _COUNT, _NUMBER, *[_ADDRESS] * 6),
     "hold_half_motions": (None, _COUNT, _COUNT, *[_NUMBER] * 3, *[_ADDRESS] * 6),

@@ -10,6 +10,7 @@ import ctypes
 import logging
 import os
 import struct
+from collections.abc import Sequence
 from dataclasses import fields
 from functools import cache
 from importlib.util import find_spec
@@ -107,63 +108,91 @@ def _opened(path: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-class Slot:
-    """One problem with its arrays and the workspace of its solve; for one thread at a time.
+class Batch:
+    """Problems of one kind that are solved in one call, for one thread at a time.
+
+    Their arrays and the workspace of a solve are kept, and grow.
 
     Parameters
     ----------
     solver : ctypes.CDLL
         The compiled solver.
     kind : type
-        Class of the problem.
-    intervals : int
-        N.
+        Class of the problems.
 
     Attributes
     ----------
-    values : dict of ndarray
-        The members of the C structure by name; scalars have no dimension.
+    rows : list of dict of ndarray
+        The members of each C structure by name; scalars have no dimension, and arrays room for
+        more intervals than the problem may have.
     """
 
-    def __init__(self, solver: ctypes.CDLL, kind: type[Problem], intervals: int) -> None:
-        words: Vector = np.zeros(SIZE)
-        sizes = {
-            "N": intervals, "N + 1": intervals + 1,
-            "workspace": solver.hold_workspace(intervals),
-        }
-        self.values: dict[str, NDArray[Any]] = {}
-        word = 0
-        for member in MEMBERS:
-            row = words if member.c_type == "double" else words.view(np.int64)
-            place = row[word : word + member.words]
-            if member.is_pointer:
-                array: Vector = np.zeros([sizes.get(size, size) for size in member.shape])
-                place.view(np.int64)[0] = array.ctypes.data
-                place = array
-            self.values[member.name] = place if member.shape else place.reshape(())
-            word += member.words
-        self.values["intervals"][...] = intervals
-        self._run, self._address = getattr(solver, _SOLVERS[kind]), words.ctypes.data
-        # An assignment to a whole array that is kept takes a tenth of a microsecond or less.
-        of_problem, of_settings, found = map(_names_of, (kind, SolverSettings, Solution))
-        self._of_problem, self._of_settings = attrgetter(*of_problem), attrgetter(*of_settings)
-        given = (*of_problem, *of_settings, "start", "time_budget")
-        self._given, self._found = ([self.values[n] for n in names] for names in (given, found))
+    def __init__(self, solver: ctypes.CDLL, kind: type[Problem]) -> None:
+        self._solver, self._run = solver, getattr(solver, _SOLVERS[kind])
+        sized, scalar = _names_of(kind)
+        self._sized, self._scalar = attrgetter(*sized), attrgetter(*scalar)
+        self._of_settings = attrgetter(*_names_of(SolverSettings)[1])
+        self._names = (*sized, "start"), ("intervals", *scalar)
+        self._count = self._longest = 0
+
+    def _allocate(self, count: int, longest: int) -> None:
+        """Make room for so many problems, of as many intervals."""
+        words: Vector = np.zeros((count, SIZE))
+        workspace: Vector = np.zeros(self._solver.hold_workspace(longest))
+        sizes = {"N": longest, "N + 1": longest + 1}
+        self.rows = [dict[str, NDArray[Any]]() for _ in range(count)]
+        for row, values in zip(words, self.rows, strict=True):
+            word = 0
+            for member in MEMBERS:
+                place = row[word : word + member.words]
+                if member.c_type != "double":
+                    place = place.view(np.int64)
+                if member.is_pointer:
+                    array = workspace  # of one solve after the other
+                    if member.name != "workspace":
+                        array = np.zeros([sizes.get(size, size) for size in member.shape])
+                    place.view(np.int64)[0] = array.ctypes.data
+                    place = array
+                values[member.name] = place if member.shape else place.reshape(())
+                word += member.words
+        self._count, self._longest, self._address = count, longest, words.ctypes.data
+        settings = (*_names_of(SolverSettings)[1], "time_budget")
+        # An assignment to an array that is kept takes a tenth of a microsecond or less.
+        self._places = [
+            [[row[name] for name in names]
+             for names in (*self._names, settings, *_names_of(Solution))]
+            for row in self.rows
+        ]
 
     def solve(
-        self, problem: Problem, start: Vector, settings: SolverSettings, time_budget: float
-    ) -> Solution:
-        """Solve a problem; the arguments are those of `sphere_nmpc.solver.solve.solve`."""
-        values = (*self._of_problem(problem), *self._of_settings(settings), start, time_budget)
-        for place, value in zip(self._given, values, strict=True):
-            place[...] = value
-        self._run(self._address)
-        inputs, states, durations, *scalars = self._found
-        cost, status, *others = [place.item() for place in scalars]
-        return Solution(
-            inputs.copy(), states.copy(), durations.copy(), cost, STATUSES[status], *others
-        )
+        self, problems: Sequence[Problem], starts: Sequence[Vector], settings: SolverSettings,
+        time_budget: float,
+    ) -> list[Solution]:
+        """Solve problems; the arguments are those of `sphere_nmpc.solver.solve.solve_all`."""
+        sizes = [problem.durations.size for problem in problems]
+        longest, tuning = max(sizes), (*self._of_settings(settings), time_budget)
+        if len(sizes) > self._count or longest > self._longest:
+            self._allocate(max(len(sizes), self._count), max(longest, self._longest))
+        for problem, start, n, places in zip(problems, starts, sizes, self._places, strict=False):
+            sized, scalars, of_settings, _, _ = places
+            for array, values in zip(sized, (*self._sized(problem), start), strict=True):
+                array[:n] = values
+            given = (n, *self._scalar(problem), *tuning)
+            for place, value in zip((*scalars, *of_settings), given, strict=True):
+                place[...] = value
+        self._run(len(sizes), self._address)
+        found = list[Solution]()
+        for problem, n, (*_, sized, scalars) in zip(problems, sizes, self._places, strict=False):
+            (inputs, states, _), (cost, status, *others) = sized, [s.item() for s in scalars]
+            found.append(Solution(
+                inputs[: n + 1].copy(), states[: n + 1].copy(), problem.durations, cost,
+                STATUSES[status], *others,
+            ))
+        return found
 
 
-def _names_of(record: type) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(record))
+def _names_of(record: type) -> tuple[list[str], list[str]]:
+    """Return the fields of a record that are arrays with room for N intervals, and the others."""
+    is_sized = {member.name: member.is_pointer for member in MEMBERS}
+    names = [field.name for field in fields(record)]
+    return [n for n in names if is_sized[n]], [n for n in names if not is_sized[n]]

@@ -60,7 +60,9 @@ static int64_t nominal_motion(const path_course *c, const double *start, double 
         count++;
         if (count == capacity || (way >= last && last < length))
             break;
-        if (way >= length && hypot(end[0] - pose[0], end[1] - pose[1]) < PATH_ENDED * radius)
+        const double left[2] = {end[0] - pose[0], end[1] - pose[1]};
+        /* Not hypot, whose symbol an older glibc does not have. */
+        if (way >= length && sqrt(left[0] * left[0] + left[1] * left[1]) < PATH_ENDED * radius)
             break;
         double moved[6], ahead;
         step = fmin(2.0 * step, PATH_STEP);

@@ -117,23 +117,27 @@ static void least_squares(problem *p, double began)
     }
 }
 
-static void solve(problem *p, void (*iterate)(problem *, double))
+/* Solve problems one after the other; their time budget is that of all of them. */
+static void solve_all(int64_t count, problem *problems, void (*iterate)(problem *, double))
 {
-    const double began = now();
-    p->disturbed = is_disturbed(p->state, p->torques);
-    iterate(p, began);
-    /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
-    for (int64_t i = 0; i < 2 * p->intervals; i++)
-        p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
-    p->solve_time = now() - began;
+    const double first = now();
+    for (problem *p = problems; p < problems + count; p++) {
+        const double began = now();
+        p->disturbed = is_disturbed(p->state, p->torques);
+        iterate(p, first);
+        /* U (u / U) may differ from u in the last place: a bound is met exactly all the same. */
+        for (int64_t i = 0; i < 2 * p->intervals; i++)
+            p->inputs[i + 2] = clip(p->inputs[i + 2], p->lower[i], p->upper[i]);
+        p->solve_time = now() - began;
+    }
 }
 
-void solve_least_squares(problem *p)
+void solve_least_squares(int64_t count, problem *problems)
 {
-    solve(p, least_squares);
+    solve_all(count, problems, least_squares);
 }
 
-void solve_minimum_time(problem *p)
+void solve_minimum_time(int64_t count, problem *problems)
 {
-    solve(p, minimum_time);
+    solve_all(count, problems, minimum_time);
 }

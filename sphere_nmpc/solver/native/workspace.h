@@ -26,15 +26,16 @@ typedef struct {
 /* The parts lie in one allocation: without a gap that must not be touched the sanitiser would not
  * find an index that runs from one part into the next. */
 #define GAP 8
-static void forbid(const double *first, const double *end)
+static void divide_at(const double *first, const double *end, const double *next)
 {
-    __asan_poison_memory_region(first, (size_t)((const char *)end - (const char *)first));
+    __asan_unpoison_memory_region(first, (size_t)((const char *)end - (const char *)first));
+    __asan_poison_memory_region(end, (size_t)((const char *)next - (const char *)end));
 }
 #else
 #define GAP 0
-static void forbid(const double *first, const double *end)
+static void divide_at(const double *first, const double *end, const double *next)
 {
-    (void)first, (void)end;
+    (void)first, (void)end, (void)next;
 }
 #endif
 
@@ -45,7 +46,7 @@ static double *take(double *base, int64_t *used, int64_t count)
     *used += (count + 7) / 8 * 8 + GAP;
     if (!base)
         return NULL;
-    forbid(base + first + count, base + *used);
+    divide_at(base + first, base + first + count, base + *used);
     return base + first;
 }
 

@@ -9,9 +9,9 @@ knots of its guess, with every limit exact; at its end the rotors hold the momen
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from sphere_nmpc.model import rotation
 from sphere_nmpc.model.course import Leg
 from sphere_nmpc.model.disturbance import UNDISTURBED, after_slope, is_zero, rest_speeds
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
-from sphere_nmpc.model.goal import Goal, Orientation
+from sphere_nmpc.model.goal import Goal, Orientation, moved
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import (
     INPUT_SIZE,
@@ -39,9 +39,10 @@ from sphere_nmpc.solver.problem import (
     SolveStatus,
 )
 from sphere_nmpc.solver.roll_out import roll_out
-from sphere_nmpc.solver.solve import solve
+from sphere_nmpc.solver.solve import solve, solve_all
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Made, Plan
+from sphere_nmpc.strategy.time_optimal.initial_guesses import Guess
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling, steady_interval
@@ -56,12 +57,35 @@ _FIRST_PROXIMAL = 1.0
 """First proximal weight of a minimum-time problem [of the unit of time]."""
 _KEEPING_PROXIMAL = 100.0
 """First proximal weight where a guess is to change little [of the unit of time]."""
-_CALL_WORK = 60
+_CALL_WORK = 30
 """Work of a call apart from its iterations."""
 _STEP_WORK = 6
 """Work of an iteration of a minimum-time problem for each interval."""
 RAISES = (1.0, 5.0, 25.0, 125.0)
 """Factors by which the weight of the error is raised while an error is left."""
+
+
+class Trial(NamedTuple):
+    """Motion of the duration of a guess that ends as near to the goal as possible.
+
+    Attributes
+    ----------
+    found : Guess
+        The motion, as a guess of an arrival.
+    error : float
+        Distance from the goal at its end [-], infinite where it is not finite.
+    work : int
+        Work of the solve in microseconds or so.
+    """
+
+    found: Guess
+    error: float
+    work: int
+
+    @property
+    def duration(self) -> float:
+        """Its duration [s]."""
+        return float(self.found.times[-1])
 
 
 class ArrivalSolver:
@@ -89,38 +113,49 @@ class ArrivalSolver:
             max_iterations=settings.trial_iterations, gradient_tolerance=0.0
         )
 
-    def trial(
-        self, situation: Situation, goal: Goal, guess: FirstOrderHold, aware: bool = False
-    ) -> Plan:
-        """Return the motion of the duration of a guess that ends nearest to the goal.
+    def trials(
+        self, situation: Situation, guesses: Sequence[Guess], budget: float = math.inf,
+        aware: bool = False,
+    ) -> list[Trial]:
+        """Return the motions of the durations of guesses that end nearest to the goal.
 
         Parameters
         ----------
         situation : Situation
-            State of the robot and speeds of its rotors at the start.
-        goal : Goal
-            The goal, with the quaternion sign that is aimed at.
-        guess : FirstOrderHold
-            Rotor speeds from the start on, for a sphere without momentum, at knots that are kept.
-            What holds the momentum along its motion is added, so that the same motion results but
-            for a turn about the body's z axis.
+            State of the robot and speeds of its rotors at the start, and the goal.
+        guesses : sequence of Guess
+            Rotor speeds for a sphere without momentum, at knots that are kept. What holds the
+            momentum along their motion is added, so that the same motion results but for a turn
+            about the body's z axis.
+        budget : float, optional
+            Wall time of all of them [s].
         aware : bool, optional
-            Whether the guess has that already.
+            Whether the guesses have that already.
         """
-        durations, knots = guess.durations, guess.speeds[1:]
-        if not aware and not is_zero(situation.momentum, situation.disturbance):
-            knots = knots + self._compensation(situation, durations, knots)
-        orientation = _demanded(situation, goal)
-        problem = self._problem(
-            LeastSquaresProblem, situation, goal.at(guess.end), orientation, durations,
-            self.grid.spacing, end=End.REST, input_weight=_REGULARISATION,
-        )
-        solution = solve(problem, knots, self._trial)
-        work = _CALL_WORK + (solution.iterations + 1) * problem.intervals
-        error = math.inf
-        if solution.status is not SolveStatus.NOT_FINITE:
-            error = math.sqrt(solution.cost)
-        return _plan(goal, orientation, guess.start, solution, error, work)
+        goal, orientation = situation.goal, _demanded(situation, situation.goal)
+        compensated = not aware and not is_zero(situation.momentum, situation.disturbance)
+        problems, starts = list[LeastSquaresProblem](), list[Vector]()
+        for times, speeds, pose in guesses:
+            durations, knots = times[1:] - times[:-1], speeds[1:]
+            if compensated:
+                knots = knots + self._compensation(situation, durations, knots)
+            problems.append(self._problem(
+                LeastSquaresProblem, situation, moved(pose, goal.rate, times[-1]), orientation,
+                durations, self.grid.spacing, end=End.REST, input_weight=_REGULARISATION,
+            ))
+            starts.append(knots)
+        trials = list[Trial]()
+        found = solve_all(problems, starts, self._trial, budget) if problems else []
+        for guess, problem, solution in zip(guesses, problems, found, strict=True):
+            member = orientation.nearest(problem.goal, solution.states[-1])
+            speeds, pose = solution.inputs, moved(member, goal.rate, -guess.times[-1])
+            is_finite = solution.status is not SolveStatus.NOT_FINITE
+            trials.append(Trial(
+                Guess(guess.times, speeds, pose),
+                math.sqrt(solution.cost) if is_finite else math.inf,
+                _CALL_WORK + (solution.iterations + 1) * problem.intervals,
+            ))
+        return trials
 
     def solve(
         self, situation: Situation, goal: Goal, guess: FirstOrderHold, factor: float = 1.0,
@@ -131,8 +166,10 @@ class ArrivalSolver:
 
         Parameters
         ----------
-        situation, goal
-            As for `trial`; the sign of the quaternion does not matter.
+        situation : Situation
+            State of the robot and speeds of its rotors at the start.
+        goal : Goal
+            The goal; the sign of the quaternion does not matter.
         guess : FirstOrderHold
             Initial guess, whose knots are kept in units of the duration.
         factor : float, optional

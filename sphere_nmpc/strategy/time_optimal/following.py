@@ -147,8 +147,8 @@ def next_leg(
     start = start.nearest_to(after.plan.leg.goal.pose)
     plan = after.plan.delayed(start.time - after.plan.hold.start)
     after = replace(after, plan=plan)
-    known = made_for.plant, made_for.disturbance, made_for.floor
-    is_same = all(map(operator.is_, known, (start.plant, start.disturbance, start.floor)))
+    known = made_for.plant, made_for.disturbance
+    is_same = all(map(operator.is_, known, (start.plant, start.disturbance)))
     off = state_error(start.state, plan.states[0, POSE])
     if not is_same or off > solver.settings.arrival_error:
         after = solved_again(after, start, solver, dead_band, deadline, is_aimed=True)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import moved
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, Vector, flipped_sign
 from sphere_nmpc.solver.half_motions import (
@@ -24,6 +23,7 @@ from sphere_nmpc.solver.half_motions import (
 )
 from sphere_nmpc.strategy.clearance import without_collisions
 from sphere_nmpc.strategy.contract import Situation
+from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -39,14 +39,21 @@ class Guess(NamedTuple):
 
     Attributes
     ----------
-    hold : FirstOrderHold
-        Rotor speeds, from time 0 on.
+    times : ndarray, shape (N + 1,)
+        Times of the knots, from 0 on [s].
+    speeds : ndarray, shape (N + 1, 2)
+        Rotor speeds there [rad/s].
     goal : ndarray, shape (6,)
-        Goal, or member of the set, with the quaternion sign that they lead to.
+        Goal at time 0, or member of the set, with the quaternion sign that they lead to.
     """
 
-    hold: FirstOrderHold
+    times: Vector
+    speeds: Vector
     goal: Vector
+
+    def resampled(self, times: Vector) -> Vector:
+        """Return the speeds at other times [s], shape (K, 2)."""
+        return np.column_stack([np.interp(times, self.times, row) for row in self.speeds.T])
 
 
 def meeting_guesses(
@@ -104,11 +111,12 @@ def meeting_guesses(
         forth, back, range(first, last + 1), wanted, period, speed,
         settings.turn_weight * radius**2,
     )
-    best = np.argsort(found.scores, kind="stable")[:wanted]
-    best = best[np.isfinite(found.scores[best])]
+    best = np.flatnonzero(np.isfinite(found.scores))
+    best = best[np.argsort(found.scores[best], kind="stable")[:wanted]]
     partners = found.partners[best]
-    from_start = knots_of(signals[:, best], levels, in_force, drives)
-    from_goal = -knots_of(signals[:, partners], levels, _AT_REST, drives)
+    begin = np.repeat((in_force, _AT_REST), best.size, axis=0).T
+    both = knots_of(signals[:, np.concatenate((best, partners))], levels, begin, drives)
+    from_start, from_goal = both[:, :, : best.size], -both[:, :, best.size :]
     guesses = []
     for k, (i, j) in enumerate(zip(best, partners, strict=True)):
         periods = int(found.periods[i])
@@ -117,9 +125,7 @@ def meeting_guesses(
         same_sign = forth.states[before, 2:, i] @ back.states[after, 2:, j] > 0.0
         times: Vector = period * np.arange(periods + 1, dtype=np.float64)
         member = moved(ends[:, j % ends.shape[1]], goal.rate, -mean)
-        guesses.append(
-            Guess(FirstOrderHold(times, speeds), member if same_sign else flipped_sign(member))
-        )
+        guesses.append(Guess(times, speeds, member if same_sign else flipped_sign(member)))
     work = count * (20 + levels) // 40 + found.pairs // 1000
     return guesses, work
 
@@ -131,19 +137,23 @@ def _signals(rng: np.random.Generator, count: int, mean: float) -> Floats:
     """
     times = mean * rng.standard_exponential((INPUT_SIZE, 2, count), dtype=np.float32)
     switches = rng.integers(3, size=(INPUT_SIZE, count))
-    times[:, 0][switches == 0] = _NEVER
-    times[:, 1][switches < 2] = _NEVER
-    times.sort(axis=1)
+    first = np.where(switches == 0, np.float32(_NEVER), times[:, 0])
+    second = np.where(switches < 2, np.float32(_NEVER), times[:, 1])
     signs = np.sign(rng.random((INPUT_SIZE, count), dtype=np.float32) - 0.5)
-    return np.concatenate((signs, times.reshape(4, -1)))
+    in_order = np.stack((np.minimum(first, second), np.maximum(first, second)), axis=1)
+    return np.concatenate((signs, in_order.reshape(4, -1)))
 
 
-def random_hold(rng: np.random.Generator, duration: float, max_speed: float) -> FirstOrderHold:
+def random_guess(
+    rng: np.random.Generator, duration: float, grid: Grid, max_speed: float, goal: Vector
+) -> Guess:
     """Draw rotor speeds within the limit `max_speed` [rad/s], from rest to rest.
 
     Far from the limits, which hardly any other guess is: there the rotors cannot hold momentum.
     """
-    times: Vector = np.linspace(0.0, duration, int(rng.integers(*_INTERVALS)) + 1, dtype=float)
-    speeds: Vector = rng.uniform(-max_speed, max_speed, (times.size, INPUT_SIZE))
+    intervals = int(rng.integers(*_INTERVALS))
+    speeds: Vector = rng.uniform(-max_speed, max_speed, (intervals + 1, INPUT_SIZE))
     speeds[0] = speeds[-1] = 0.0
-    return FirstOrderHold(times, speeds)
+    drawn = Guess(np.linspace(0.0, duration, intervals + 1, dtype=np.float64), speeds, goal)
+    times = grid.coarse(duration)
+    return Guess(times, drawn.resampled(times), goal)

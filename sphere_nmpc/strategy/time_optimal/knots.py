@@ -49,11 +49,10 @@ class Grid:
         """Spacing near both ends, and the longest integration step of a plan [s]."""
         return self.spacing / _FINE_KNOT_RATIO
 
-    def coarse(self, hold: FirstOrderHold) -> FirstOrderHold:
-        """Return a hold, from time 0 on, at knots about `spacing` apart."""
-        count = max(2, round(hold.end / self.spacing))
-        times: Vector = np.linspace(0.0, hold.end, count + 1, dtype=np.float64)
-        return hold.resampled(times)
+    def coarse(self, duration: float) -> Vector:
+        """Return times from 0 to `duration` [s], about `spacing` apart."""
+        count = max(2, round(duration / self.spacing))
+        return np.linspace(0.0, duration, count + 1, dtype=np.float64)
 
     def refined(self, hold: FirstOrderHold) -> FirstOrderHold:
         """Return a hold, from time 0 on, with fine knots near both ends, else `spacing` apart.

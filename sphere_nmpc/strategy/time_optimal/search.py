@@ -26,11 +26,11 @@ from sphere_nmpc.solver.half_motions import Drives
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
-from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, Trial
 from sphere_nmpc.strategy.time_optimal.initial_guesses import (
     Guess,
     meeting_guesses,
-    random_hold,
+    random_guess,
 )
 from sphere_nmpc.strategy.time_optimal.steady_rolling import (
     SteadyRolling,
@@ -44,7 +44,7 @@ _MAX_DIFFERENCE = 0.2
 """Mean difference of the speeds of two motions [of the largest] up to which they are alike."""
 _FIRST_TURNS, _TURNS_GROWTH = 8, 2
 """Whole turns that are added to a near arrival first, and factor by which they grow then."""
-_FIRST_SHARE = 0.5
+_FIRST_SHARE = 0.75
 """Share of half motions and guesses that are tried in a round before the first arrival."""
 _DELAY_GROWTH = 2.5
 """Factor on the delay of the shortest guess after each round without an arrival."""
@@ -154,25 +154,25 @@ class ArrivalSearch:
             yield from self._round(_FIRST_SHARE if self.best is None else 1.0)
 
     def _round(self, share: float) -> Iterator[None]:
-        settings, trials = self._settings, list[Plan]()
+        settings = self._settings
         guesses = self._guesses(share)
         yield
-        for guess in guesses:
-            goal = self._near.aim(guess.goal)
-            trials.append(self._counted(self._solver.trial(self._near, goal, guess.hold)))
-            yield
-        clear = [arrival for arrival in trials if self._is_trial_clear(arrival)]
+        trials = self._trials(guesses)
+        yield
+        clear = [trial for trial in trials if self._is_trial_clear(trial)]
         self._collided = len(clear) < len(trials)
         survivors = islice(_different(clear, self._merit), settings.polished)
         longest, polished = np.inf, list[Plan]()
         if self.best is not None:
             longest = self.best.duration - self._turns * self._rolling.turn_time
-        for arrival in survivors:
-            if self._merit(arrival) > _MAX_MERIT * longest:
+        for trial in survivors:
+            if self._merit(trial) > _MAX_MERIT * longest:
                 break
-            if arrival.error > self._reached:
-                arrival = self._with_more_time(arrival)
-            polished.append(self._polished(self._near, arrival.leg.goal, arrival.hold))
+            if trial.error > self._reached:
+                trial = self._with_more_time(trial)
+            times, speeds, goal = trial.found
+            hold = FirstOrderHold(times, speeds)
+            polished.append(self._polished(self._near, self._near.aim(goal), hold))
             yield
         reached = [arrival for arrival in polished if arrival.error < self._reached]
         best = self.best
@@ -183,17 +183,22 @@ class ArrivalSearch:
         short = (bool(polished) and not reached) or self.best is None
         self._later = _DELAY_GROWTH * self._later + self._grid.spacing if short else 0.0
 
-    def _merit(self, arrival: Plan) -> float:
+    def _trials(self, guesses: list[Guess], aware: bool = False) -> list[Trial]:
+        budget = self._deadline - time.perf_counter()
+        trials = self._solver.trials(self._near, guesses, budget, aware)
+        self.work += sum(trial.work for trial in trials)
+        return trials
+
+    def _merit(self, arrival: Plan | Trial) -> float:
         """Return the duration with what its error is worth [s]."""
         return arrival.duration + self._settings.error_weight * self._grid.unit * arrival.error
 
-    def _with_more_time(self, arrival: Plan) -> Plan:
+    def _with_more_time(self, trial: Trial) -> Trial:
         """Return a trial from another one, in the time that the error of that takes longer."""
-        hold = arrival.hold
-        factor = 1.0 + _TIME_OF_ERROR * self._grid.unit * arrival.error / arrival.duration
-        slower = FirstOrderHold(factor * hold.times, hold.speeds / factor)
-        goal = arrival.leg.goal
-        return self._counted(self._solver.trial(self._near, goal, slower, aware=True))
+        times, speeds, goal = trial.found
+        factor = 1.0 + _TIME_OF_ERROR * self._grid.unit * trial.error / trial.duration
+        slower = Guess(factor * times, speeds / factor, goal)
+        return self._trials([slower], aware=True)[0]
 
     def _polished(self, situation: Situation, goal: Goal, guess: FirstOrderHold) -> Plan:
         return self._counted(self._solver.solve(
@@ -227,13 +232,15 @@ class ArrivalSearch:
         """Return whether a motion to the goal keeps clear of what is on the floor."""
         return is_clear(self._situation, arrival.hold, Margin.FOUND)
 
-    def _is_trial_clear(self, arrival: Plan) -> bool:
+    def _is_trial_clear(self, trial: Trial) -> bool:
         """Return whether a motion to the near goal keeps clear with the turns that it lacks."""
+        if self._situation.floor.is_empty:  # in no time
+            return True
+        hold = FirstOrderHold(trial.found.times, trial.found.speeds)
         if self._turns:
             longer = self._turns * self._rolling.turn_time
-            hold = with_turns(arrival.hold, longer, self._drives.limit)
-            arrival = replace(arrival, hold=hold)
-        return self._is_clear(arrival)
+            hold = with_turns(hold, longer, self._drives.limit)
+        return is_clear(self._situation, hold, Margin.FOUND)
 
     def _counted(self, arrival: Plan) -> Plan:
         self.work += arrival.made.work
@@ -256,10 +263,11 @@ class ArrivalSearch:
             self._window *= 2.0
         for k in range(round(share * settings.polished)):
             duration = shortest + self._window * self._rng.random()
-            hold = random_hold(self._rng, duration, self._drives.limit)
             goal = self._near.goal.pose
             goal = goal if k % 2 else flipped_sign(goal)
-            found.append(Guess(self._grid.coarse(hold), goal))
+            found.append(
+                random_guess(self._rng, duration, self._grid, self._drives.limit, goal)
+            )
         return found
 
     def _lengthened(self, arrival: Plan, longer: float) -> FirstOrderHold:
@@ -316,16 +324,13 @@ class ArrivalSearch:
         return goal
 
 
-def _different(
-    arrivals: list[Plan], merit: Callable[[Plan], float]
-) -> Iterator[Plan]:
-    """Yield arrivals in the order of their merit, of motions that are alike the first alone."""
+def _different(trials: list[Trial], merit: Callable[[Trial], float]) -> Iterator[Trial]:
+    """Yield trials in the order of their merit, of motions that are alike the first alone."""
     signatures = list[Vector]()
-    for arrival in sorted(arrivals, key=merit):
-        hold = arrival.hold
-        signature = hold.resampled(hold.end * _COMPARED).speeds
-        largest = float(np.max(np.abs(hold.speeds)))
+    for trial in sorted(trials, key=merit):
+        signature = trial.found.resampled(trial.duration * _COMPARED)
+        largest = float(np.max(np.abs(trial.found.speeds)))
         alike = (float(np.mean(np.abs(signature - one))) for one in signatures)
-        if np.isfinite(arrival.error) and all(d > _MAX_DIFFERENCE * largest for d in alike):
+        if np.isfinite(trial.error) and all(d > _MAX_DIFFERENCE * largest for d in alike):
             signatures.append(signature)
-            yield arrival
+            yield trial

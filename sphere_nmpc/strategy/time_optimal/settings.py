@@ -55,7 +55,7 @@ class TimeOptimalSettings:
     for more work."""
     tried_guesses: int = 16
     """Guesses of each such draw that are tried."""
-    polished: int = 4
+    polished: int = 3
     """Trials that are polished in a round: those of the least sum of duration and what their error
     is worth. As many guesses of random speeds are tried besides: with little acceleration the
     rotors are hardly at their limits."""

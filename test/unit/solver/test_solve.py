@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Both problems by both solvers: derivatives, equal steps, limits, status, optima."""
 
+import contextlib
 import threading
 from dataclasses import replace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -17,7 +19,14 @@ from sphere_nmpc.model.disturbance import rest_speeds
 from sphere_nmpc.model.state import MOMENTUM, POSITION, QUATERNION, Vector
 from sphere_nmpc.solver.minimum_time import expand_error
 from sphere_nmpc.solver.plain import aim_of, bounds_of, expand
-from sphere_nmpc.solver.problem import End, LeastSquaresProblem, Problem, SolveStatus
+from sphere_nmpc.solver.problem import (
+    End,
+    LeastSquaresProblem,
+    Problem,
+    SolverSettings,
+    SolveStatus,
+)
+from sphere_nmpc.solver.solve import solve_all
 
 STEP = 1e-6
 """Of a scaled input; a central difference is then good to about 1e-9."""
@@ -251,6 +260,38 @@ def test_many_threads_solve_at_once() -> None:
         thread.join()
     for one, other in zip(alone, together, strict=True):
         assert np.array_equal(one.inputs, other.inputs)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "momentum", "minimum time", "effort"])
+def test_problems_of_one_call_are_solved_as_each_alone_and_by_the_plain_solver(kind: str) -> None:
+    problems = [make_problem(kind, n, intervals=n, fixed={}) for n in (9, 5, 9, 14)]
+    starts = [random_start(problem) for problem in problems]
+    settings = SolverSettings(3, decrease_floor=1e-8, initial_damping=1.0)
+    together = solve_all(problems, starts, settings)
+    alone = [
+        solve_all([problem], [start], settings)[0]
+        for problem, start in zip(problems, starts, strict=True)
+    ]
+    with mock.patch(f"{solve_all.__module__}.library", lambda: None):
+        plain = solve_all(problems, starts, settings)
+    for ours, one, right in zip(together, alone, plain, strict=True):
+        np.testing.assert_array_equal(ours.inputs, one.inputs)
+        np.testing.assert_array_equal(ours.states, one.states)
+        assert (ours.cost, ours.stretch) == (one.cost, one.stretch)
+        assert (ours.iterations, ours.status) == (right.iterations, right.status)
+        assert ours.cost == pytest.approx(right.cost, rel=1e-6)
+        np.testing.assert_allclose(ours.inputs, right.inputs, atol=1e-3)
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
+def test_time_budget_is_that_of_all_problems_of_a_call(compiled: bool) -> None:
+    problems = [make_problem("terminal", seed) for seed in range(3)]
+    starts = [random_start(problem) for problem in problems]
+    with contextlib.nullcontext() if compiled else mock.patch(
+        f"{solve_all.__module__}.library", lambda: None
+    ):
+        found = solve_all(problems, starts, SolverSettings(), 0.0)
+    assert [(one.status, one.iterations) for one in found] == [(SolveStatus.BUDGET, 0)] * 3
 
 
 @pytest.mark.parametrize("kind", MINIMUM_TIME)

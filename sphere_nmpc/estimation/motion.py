@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interval between two knots: poses, speeds, and the motion, linearised in the local unknowns."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,13 +23,9 @@ from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import SAME, SHORTEST
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, QUATERNION, STATE_SIZE, Vector, angle_error
-from sphere_nmpc.model.torque import rotor_acceleration
+from sphere_nmpc.model.torque import attainable, largest_shares
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
-_MAX_TURNING = 3.0
-"""Largest acceleration of a rotor in space while the shell turns at constant speeds [(c1 u)^2]."""
-_DRIVEN_STEP = 0.02
-"""Longest time for which drives are simulated at one orientation [s]."""
 _LAG_STEP = 1e-2
 """Step of the difference by the lag, in its unit."""
 
@@ -60,20 +57,22 @@ class Interval:
         slopes = np.diff(self.inputs, axis=0) / self.durations[:, None]
         return float(np.max(np.abs(slopes), initial=0.0))
 
-    def driven(self, acceleration: float, state: Vector, constants: Vector) -> "Interval":
+    def driven(
+        self, acceleration: float, state: Vector, constants: Vector, step: float
+    ) -> "Interval":
         """Return the interval with the speeds that drives of limited torque attain.
 
         The torque is that of `acceleration` [rad/s^2] in space, so that the acceleration relative
-        to the shell depends on the orientation; `state` is that at the start of the interval. A
-        rotor that has fallen behind turns at the limit until it has caught up. At the start of the
-        pieces it has the speed that was sent.
+        to the shell depends on the orientation, which counts once in each `step` [s]; `state` is
+        that at the start of the interval. A rotor that has fallen behind turns at the limit until
+        it has caught up. At the start of the pieces it has the speed that was sent.
         """
-        turning = _MAX_TURNING * (constants[1] * float(np.max(np.abs(self.inputs)))) ** 2
-        if self.steepest + turning <= acceleration:
+        share, turning = largest_shares(constants)
+        fastest = float(np.max(np.abs(self.inputs)))
+        if share * self.steepest + turning * fastest**2 <= acceleration:
             return self
         given = np.concatenate(([0.0], np.cumsum(self.durations)))
-        times = np.union1d(np.append(given, self.lead), np.arange(0.0, given[-1], _DRIVEN_STEP))
-        times = times[np.concatenate(([True], np.diff(times) > SAME))]
+        times = _distinct(given, [self.lead], np.arange(0.0, given[-1], step))
         sent = np.column_stack([np.interp(times, given, column) for column in self.inputs.T])
         durations, begin = np.diff(times), int(np.searchsorted(times, self.lead - SAME))
         # Back in time the same path is rolled with the opposite speeds.
@@ -81,15 +80,11 @@ class Interval:
         ahead = roll_out(state[POSE], sent[begin:], durations[begin:], constants)
         verticals = rotation.vertical(np.concatenate((back[:0:-1], ahead))[:, QUATERNION])
         verticals, middle = (0.5 * (one[:-1] + one[1:]) for one in (verticals, sent))
-        slopes, paths = np.diff(sent, axis=0) / durations[:, None], []
-        for i, own in enumerate(np.eye(INPUT_SIZE)):
-            alone = np.broadcast_to(own, slopes.shape)
-            gain = rotor_acceleration(verticals, np.zeros_like(slopes), alone, constants)[:, i]
-            others = rotor_acceleration(verticals, middle, slopes * (1.0 - own), constants)[:, i]
-            limits = (np.array([[-acceleration], [acceleration]]) - others) / gain
-            paths.append(followed(times, sent[:, i], limits.T))
-        times = np.unique(np.concatenate([times, *(path[0] for path in paths)]))
-        times = times[np.concatenate(([True], np.diff(times) > SAME))]
+        verticals /= np.linalg.norm(verticals, axis=1, keepdims=True)
+        slopes = np.diff(sent, axis=0) / durations[:, None]
+        limits = np.stack(attainable(acceleration, verticals, middle, slopes, constants), axis=-1)
+        paths = [followed(times, sent[:, i], limits[:, i]) for i in range(INPUT_SIZE)]
+        times = _distinct(times, *(path[0] for path in paths))
         speeds = np.column_stack([np.interp(times, *path) for path in paths])
         return replace(self, durations=np.diff(times), inputs=speeds)
 
@@ -106,6 +101,12 @@ class Interval:
         for i in range(INPUT_SIZE):
             speeds[:, i] = np.interp(times, given, self.inputs[:, i])
         return np.diff(times), speeds, np.searchsorted(times, self.after).tolist()
+
+
+def _distinct(*times: Iterable[float]) -> Vector:
+    """Return all times in order; of those that are the same the first one."""
+    merged: Vector = np.sort(np.concatenate([list(some) for some in times]))
+    return merged[np.diff(merged, prepend=-np.inf) > SAME]
 
 
 def followed(times: Vector, sent: Vector, limits: Vector) -> tuple[list[float], list[float]]:
@@ -179,7 +180,7 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     step = scaling.numbers.step
     limit, lag, count = scaling.acceleration, scaling.lag(common), interval.after.size
     share = float(common[SHARE])
-    driven = interval.driven(share * limit, state, constants) if share < 1.0 else interval
+    driven = interval.driven(share * limit, state, constants, step) if share < 1.0 else interval
 
     def differ(other: Interval, longer: float, ends: Vector, change: float) -> Vector:
         durations, speeds, poses = other.window(lag + longer)
@@ -209,7 +210,7 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     change = _LAG_STEP if lag < 0.5 * scaling.numbers.longest_lag else -_LAG_STEP
     by[:, :8, KNOT + LAG] = differ(driven, change * scaling.numbers.lag, ends, change)
     # Downwards, as ramps of plans are slightly less steep than the limit.
-    weaker = interval.driven((share - SHARE_STEP) * limit, state, constants)
+    weaker = interval.driven((share - SHARE_STEP) * limit, state, constants, step)
     if weaker is not interval:
         by[:, :8, KNOT + SHARE] = differ(weaker, 0.0, ends, -SHARE_STEP)
     within = zip(ends[:-1], interval.poses[:-1], strict=True)

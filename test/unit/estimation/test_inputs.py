@@ -2,20 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """History of the rotor speeds sent, and rotors that fall behind them, late or weak."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.rotor_history import RotorHistory
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import QUATERNION, Vector, make_state
-from sphere_nmpc.model.torque import rotor_acceleration
+from sphere_nmpc.model.state import Vector, make_state
+from sphere_nmpc.model.torque import torques
 from sphere_nmpc.solver.roll_out import roll_out
 
-LIMIT = 300.0
+LIMIT, STEP = 300.0, 0.05
 CONSTANTS = RobotParameters().lumped.as_array()
 
 
@@ -104,25 +105,19 @@ def test_rotors_that_fall_behind_catch_up_with_all_of_the_torque(seed: int) -> N
     start = make_state([0, 0], random_quaternion(rng))
     durations, inputs = rng.uniform(0.2, 0.3, 8), rng.uniform(-70.0, 70.0, (9, 2))
     raw = Interval(np.array([1.0]), np.zeros((1, 6)), durations, inputs, lead)
-    times = np.unique(np.append(np.arange(0.0, lead, 5e-3), lead))
-    sent = at(times, durations, inputs)
-    there = roll_out(start, sent, np.diff(times), CONSTANTS)[-1]
-    driven = raw.driven(LIMIT, there, CONSTANTS)
-    speeds, pieces = driven.inputs, driven.durations
-    ends = np.concatenate(([0.0], np.cumsum(pieces)))
-    states = roll_out(start, speeds, pieces, CONSTANTS)
-    middle, slopes = 0.5 * (speeds[1:] + speeds[:-1]), np.diff(speeds, axis=0) / pieces[:, None]
-    verticals = rotation.vertical(states[:, QUATERNION])
-    found = np.abs(
-        rotor_acceleration(0.5 * (verticals[1:] + verticals[:-1]), middle, slopes, CONSTANTS)
-    )
-    behind = np.abs(at(ends, durations, inputs) - speeds) > 1e-6
+    before, sent, _ = replace(raw, after=np.array([lead]), lead=0.0).window(0.0)
+    there = roll_out(start, sent, before, CONSTANTS)[-1]
+    driven = raw.driven(LIMIT, there, CONSTANTS, STEP)
+    hold = FirstOrderHold(np.append(0.0, np.cumsum(driven.durations)), driven.inputs)
+    states = roll_out(start, hold.speeds, hold.durations, CONSTANTS)
+    found = np.abs(np.mean(torques(states, hold, RobotParameters().lumped, 1.0), axis=0))
+    behind = np.abs(at(hold.times, durations, inputs) - hold.speeds) > 1e-6
     assert behind.any() and not behind.all()
     is_behind = behind[1:] & behind[:-1]
     # The orientations are those of the speeds that were sent.
     np.testing.assert_allclose(found[is_behind], LIMIT, rtol=0.02)
     assert np.max(found) < 1.02 * LIMIT
-    assert raw.driven(1.2 * raw.steepest, there, CONSTANTS) is raw
+    assert raw.driven(1.2 * raw.steepest, there, CONSTANTS, STEP) is raw
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.04])

@@ -52,7 +52,7 @@ def drive(
         sent.append(wanted)
         durations, inputs = np.full(5, PERIOD), np.array(sent[-6:])
         raw = Interval(np.array([PERIOD]), plant.state[None], durations, inputs, lead=4.0 * PERIOD)
-        driven = raw.driven(share * LIMIT, plant.state, robot.lumped.as_array())
+        driven = raw.driven(share * LIMIT, plant.state, robot.lumped.as_array(), 0.1 * PERIOD)
         pieces, attained, _ = driven.window(0.0)
         for duration, ends in zip(pieces, attained[1:], strict=True):
             plant.advance(ends, float(duration))

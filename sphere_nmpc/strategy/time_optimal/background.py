@@ -9,7 +9,7 @@ then the loop goes on as before. In line nothing is ahead.
 import itertools
 import math
 import time
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 
@@ -78,8 +78,8 @@ class BackgroundSearch:
         """Solver with the acceleration that the drives attain, for new plans."""
         self._task: tuple[SearchTask, Situation] | None = None
         """The search under way, and the situation at the control time at which its plan begins."""
-        self.plant: PlantEstimate | None = None
-        """The plant that the last search for the present leg was for."""
+        self._searched_for, self._is_other_plant = self._robot.lumped, False
+        """Constants that the last search for the present leg was with, and whether others hold."""
         self._seeds = itertools.count(1)
         self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
@@ -109,10 +109,18 @@ class BackgroundSearch:
         limited = replace(robot, max_rotor_acceleration=limit, max_rotor_speed=fastest)
         return solver_for(limited, self._tuning)
 
-    def use_attained(self, acceleration: float) -> None:
-        """Search with the acceleration [rad/s^2] that the drives attain, unless as before."""
+    def use(self, plant: PlantEstimate) -> None:
+        """Search for a plant: at once where it is another one than in the last search of the leg.
+
+        The acceleration is that which the drives attain, unless it is as before.
+        """
         tuning, limit = self._tuning, self._robot.max_rotor_acceleration
-        share = min(1.0, tuning.attained_share * acceleration / limit)
+        constants = astuple(plant.constants), astuple(self._searched_for)
+        is_other = bool(np.max(np.abs(np.divide(*constants) - 1.0)) > tuning.other_plant)
+        if is_other and not self._is_other_plant:
+            self.improved_at = -math.inf
+        self._is_other_plant = is_other
+        share = min(1.0, tuning.attained_share * plant.acceleration / limit)
         share = max(share, tuning.slip_acceleration)
         before = self.solver.robot.max_rotor_acceleration / limit
         if abs(share - before) > (1.0 - tuning.attained_share) * share:
@@ -167,14 +175,6 @@ class BackgroundSearch:
         """Control time from which on the next search that is not urgent begins [s]."""
         return self.a_period_after(self.improved_at)
 
-    def is_for(self, situation: Situation) -> bool:
-        """Return whether the last search for the present leg was for the plant of a situation."""
-        plant, before = situation.plant, self.plant
-        if before is None or plant is before:
-            return before is not None
-        changes = plant.constants.as_array() / before.constants.as_array() - 1.0
-        return bool(np.max(np.abs(changes)) < self._tuning.other_plant)
-
     def may_find(self, situation: Situation) -> bool:
         """Return whether to search; where there was no way on this floor, once a period."""
         if not self.no_way or self._no_way_on is not situation.floor:
@@ -205,17 +205,16 @@ class BackgroundSearch:
         longest = growth * tuning.longest_search
         effort = round(growth * self._settings.planning_effort)
         if known is not None:
-            effort *= not self.is_for(start)
+            effort *= self._is_other_plant
             longest = min(longest, self._ahead) if effort and not from_rest else longest
         if not is_next:
-            self.plant = start.plant
+            self._searched_for = start.constants
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         settings = self._settings
         asked = leg_began + settings.arrive_at - start.time if settings.arrive_at else -math.inf
         task = SearchTask(
-            solver.robot, tuning, start.from_zero(), next(self._seeds),
-            effort, longest, from_rest,
+            solver.robot, tuning, start.from_zero(), next(self._seeds), effort, longest, from_rest,
             None if known is None else known.delayed(-start.time), failed if is_new else 0, rested,
             is_next, settings.time_margin, asked, spared,
         )

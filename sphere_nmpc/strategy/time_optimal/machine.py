@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.parameters import RobotParameters
+from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSITION, QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import is_at_rest, is_saturated
@@ -111,10 +112,10 @@ class Machine:
             search.cancel()
         search.no_way, self._leg_began = "", math.nan
 
-    def use_attained(self, acceleration: float) -> None:
-        """Plan with the acceleration [rad/s^2] that the drives attain, also what remains."""
+    def use(self, plant: PlantEstimate) -> None:
+        """Plan for a plant, with the acceleration that its drives attain, also what remains."""
         state, before = self.state, self.search.solver.robot
-        self.search.use_attained(acceleration)
+        self.search.use(plant)
         if isinstance(state, InForce) and state.robot is before is not self.search.solver.robot:
             self.state = replace(state, robot=self.search.solver.robot)
 
@@ -275,9 +276,7 @@ class Machine:
             return followed
         is_passed = plan.leg.end is LegEnd.THROUGH
         anew = is_passed or not suits
-        is_same = situation.plant is search.plant  # as at nearly every sample
-        waits = now <= search.next_at and (is_same or search.is_for(situation))
-        if not anew and (waits or self._is_improved(followed, now)):
+        if not anew and (now <= search.next_at or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None
         start = later(situation, plan.hold, search.begins(now), solver.grid.fine)

@@ -152,7 +152,6 @@ CHANGED: dict[type[Numbers], dict[str, tuple[tuple[Any, ...], Studies]]] = {
         "near_radii": ((5.0, 20.0), (FAR,)),
         "noisy_share": ((0.0, 1.0), _NOISES),
         "largest_growth": ((1.0,), (EXACT, *_MOMENTUM, WEAK)),
-        "other_plant": ((1e9,), (WRONG,)),
         "failed_searches": ((1, 1000000), (EXACT, WRONG, FAR)),
         "slip_acceleration": ((1.0,), (SLIPPERY,)),
         "attained_share": ((0.9, 1.0), (WEAK,)),

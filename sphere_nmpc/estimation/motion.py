@@ -18,10 +18,10 @@ from sphere_nmpc.estimation.posterior import (
     Scaling,
     disturbance_of,
 )
-from sphere_nmpc.model import rotation
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import SAME, SHORTEST
+from sphere_nmpc.model.rotation import vertical
 from sphere_nmpc.model.state import INPUT_SIZE, POSE, QUATERNION, STATE_SIZE, Vector, angle_error
 from sphere_nmpc.model.torque import attainable, largest_shares
 from sphere_nmpc.solver.roll_out import propagate, roll_out
@@ -68,8 +68,7 @@ class Interval:
         it has caught up. At the start of the pieces it has the speed that was sent.
         """
         share, turning = largest_shares(constants)
-        fastest = float(np.max(np.abs(self.inputs)))
-        if share * self.steepest + turning * fastest**2 <= acceleration:
+        if share * self.steepest + turning * np.max(np.abs(self.inputs)) ** 2 <= acceleration:
             return self
         given = np.concatenate(([0.0], np.cumsum(self.durations)))
         times = _distinct(given, [self.lead], np.arange(0.0, given[-1], step))
@@ -77,13 +76,12 @@ class Interval:
         durations, begin = np.diff(times), int(np.searchsorted(times, self.lead - SAME))
         # Back in time the same path is rolled with the opposite speeds.
         back = roll_out(state[POSE], -sent[begin::-1], durations[:begin][::-1], constants)
-        ahead = roll_out(state[POSE], sent[begin:], durations[begin:], constants)
-        verticals = rotation.vertical(np.concatenate((back[:0:-1], ahead))[:, QUATERNION])
+        verticals = vertical(roll_out(back[-1], sent, durations, constants)[:, QUATERNION])
         verticals, middle = (0.5 * (one[:-1] + one[1:]) for one in (verticals, sent))
         verticals /= np.linalg.norm(verticals, axis=1, keepdims=True)
         slopes = np.diff(sent, axis=0) / durations[:, None]
-        limits = np.stack(attainable(acceleration, verticals, middle, slopes, constants), axis=-1)
-        paths = [followed(times, sent[:, i], limits[:, i]) for i in range(INPUT_SIZE)]
+        limits = attainable(acceleration, verticals, middle, slopes, constants)
+        paths = [followed(times, *each) for each in zip(sent.T, *limits, strict=True)]
         times = _distinct(times, *(path[0] for path in paths))
         speeds = np.column_stack([np.interp(times, *path) for path in paths])
         return replace(self, durations=np.diff(times), inputs=speeds)
@@ -109,19 +107,21 @@ def _distinct(*times: Iterable[float]) -> Vector:
     return merged[np.diff(merged, prepend=-np.inf) > SAME]
 
 
-def followed(times: Vector, sent: Vector, limits: Vector) -> tuple[list[float], list[float]]:
+def followed(
+    times: Vector, sent: Vector, low: Vector, high: Vector
+) -> tuple[list[float], list[float]]:
     """Return times [s] and speeds [rad/s] of the corners of one rotor's motion.
 
-    `limits`, shape (K, 2), are its least and its largest acceleration between the times.
+    Between the times its acceleration is at least that of `low`, and at most that of `high`.
     """
     now, speed = float(times[0]), float(sent[0])
     corners, speeds = [now], [speed]
     ends, wants = times.tolist(), sent.tolist()
-    for k, (least, largest) in enumerate(limits.tolist()):
-        end, wanted = ends[k + 1], wants[k + 1]
-        if not end - ends[k] > SAME:
+    pieces = zip(ends, ends[1:], wants, wants[1:], low.tolist(), high.tolist(), strict=False)
+    for begin, end, before, wanted, least, largest in pieces:
+        if not end - begin > SAME:
             continue
-        slope = (wanted - wants[k]) / (end - ends[k])
+        slope = (wanted - before) / (end - begin)
         behind = wanted - slope * (end - now) - speed
         while end - now > SAME:
             if abs(behind) < SAME:

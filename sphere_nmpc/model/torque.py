@@ -137,13 +137,13 @@ def attainable(
 ) -> tuple[Vector, Vector]:
     """Return the least and the largest du/dt of each rotor, with that of the other one.
 
-    Both have the shape (K, 2); the acceleration in space is within `limit` [rad/s^2]. The other
+    Both have the shape (2, K); the acceleration in space is within `limit` [rad/s^2]. The other
     parameters are those of `rotor_acceleration`.
     """
     level, left = _level(verticals, constants)
     own = 1.0 - constants[1] * (1.0 + constants[2] * level**2 / left)
     others = rotor_acceleration(verticals, u, du, constants) - own * du
-    return (-limit - others) / own, (limit - others) / own
+    return ((-limit - others) / own).T, ((limit - others) / own).T
 
 
 def _level(verticals: Vector, constants: Vector) -> tuple[Vector, Vector]:

@@ -327,9 +327,9 @@ def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is(
     assert state_error(end_of(carried, plan.hold, 0.05), FIRST.goal) < 1e-3
 
 
-@pytest.mark.parametrize(("change", "searched"), [(1e-3, False), (0.05, True)])
+@pytest.mark.parametrize("is_other", [False, True])
 def test_plan_for_another_plant_is_searched_for_at_once_with_the_effort_of_a_new_one(
-    change: float, searched: bool
+    is_other: bool
 ) -> None:
     now, used, begun = 0.0, planner(HIGH_RATE), of_case(1)
     worker = DelayedWorker(lambda: now, 0.0)
@@ -337,8 +337,7 @@ def test_plan_for_another_plant_is_searched_for_at_once_with_the_effort_of_a_new
     used.plan(begun)  # begins the search, whose plan is taken
     plan = used.plan(begun)
     now, number = 0.6 * SETTINGS.period, len(worker.tasks)  # a search of the first plan has ended
-    gain = (1.0 + change) * begun.constants.input_gain
-    other = replace(begun.constants, input_gain=gain)
-    used.plan(with_plant(later(begun, plan.hold, now, 0.05), constants=other))
-    efforts = [task.effort for task in worker.tasks[number:]]
-    assert efforts == [SETTINGS.planning_effort] * searched
+    gain = (1.05 if is_other else 1.01) * begun.constants.input_gain
+    other = with_plant(begun, constants=replace(begun.constants, input_gain=gain))
+    used.plan(later(other, plan.hold, now, 0.05))
+    assert [task.effort for task in worker.tasks[number:]] == [SETTINGS.planning_effort] * is_other

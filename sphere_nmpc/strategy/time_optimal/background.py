@@ -110,20 +110,21 @@ class BackgroundSearch:
         return solver_for(limited, self._tuning)
 
     def use(self, plant: PlantEstimate) -> None:
-        """Search for a plant: at once where it is another one than in the last search of the leg.
+        """Search for a plant, at once where it is another one than in the last search of the leg.
 
         The acceleration is that which the drives attain, unless it is as before.
         """
         tuning, limit = self._tuning, self._robot.max_rotor_acceleration
-        constants = astuple(plant.constants), astuple(self._searched_for)
-        is_other = bool(np.max(np.abs(np.divide(*constants) - 1.0)) > tuning.other_plant)
+        constants, least_change = astuple(plant.constants), 1.0 - tuning.attained_share
+        changes = np.divide(constants, astuple(self._searched_for)) - 1.0
+        is_other = bool(np.max(np.abs(changes)) > least_change)
         if is_other and not self._is_other_plant:
             self.improved_at = -math.inf
         self._is_other_plant = is_other
         share = min(1.0, tuning.attained_share * plant.acceleration / limit)
         share = max(share, tuning.slip_acceleration)
         before = self.solver.robot.max_rotor_acceleration / limit
-        if abs(share - before) > (1.0 - tuning.attained_share) * share:
+        if abs(share - before) > least_change * share:
             self.solver = self._solver_with(share)
 
     def cancel(self) -> None:
@@ -192,10 +193,9 @@ class BackgroundSearch:
     ) -> None:
         """Begin a search; see `SearchTask`.
 
-        `deadline` is the steady clock reading [s] at which one in line stops. With a plan `known`
-        it is one round, or where the plant is another one all that is to be had in time. It
-        `is_new` unless a plan to the goal itself is followed: failed searches then make the local
-        goal nearer.
+        `deadline` is the steady clock reading [s] at which one in line stops. It `is_new` unless
+        a plan to the goal itself is followed: failed searches then make the local goal nearer.
+        With a plan `known` it is one round, and for another plant as many as there is time for.
         `leg_began` is the control time at which the leg has begun [s].
         """
         worker, tuning = self._by, self._tuning

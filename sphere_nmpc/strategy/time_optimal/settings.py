@@ -80,9 +80,6 @@ class TimeOptimalSettings:
     """Largest factor [-] on the planning effort, and on the longest wall time, of a search from
     rest: doubled after each search without an arrival. Such a search has to end before a worker
     that does not answer is replaced."""
-    other_plant: float = 5e-3
-    """Change of a constant [-] with which an earlier arrival is searched for at once, with the
-    effort of a new plan: that in force was found for another plant."""
     failed_searches: int = 10
     """Number of such searches in succession without an earlier arrival after which none follows:
     the way to a distant goal takes hundreds of samples."""
@@ -102,7 +99,7 @@ class TimeOptimalSettings:
     attained_share: float = 0.97
     """Share [-] that plans use of the acceleration that the drives are found to attain: a limit of
     torque allows a few per cent less in some orientations. The limit of plans is kept while that
-    acceleration changes by no more than the rest."""
+    acceleration changes by no more than the rest, and a plan while the constants do."""
 
     # Holding at the goal
 

@@ -325,19 +325,3 @@ def test_plan_of_a_sphere_that_was_carried_during_the_search_begins_where_it_is(
     plan = used.plan(replace(begun, time=now, state=carried))
     assert plan.status is PlanStatus.SOLVED
     assert state_error(end_of(carried, plan.hold, 0.05), FIRST.goal) < 1e-3
-
-
-@pytest.mark.parametrize("is_other", [False, True])
-def test_plan_for_another_plant_is_searched_for_at_once_with_the_effort_of_a_new_one(
-    is_other: bool
-) -> None:
-    now, used, begun = 0.0, planner(HIGH_RATE), of_case(1)
-    worker = DelayedWorker(lambda: now, 0.0)
-    used.search_beside(worker)
-    used.plan(begun)  # begins the search, whose plan is taken
-    plan = used.plan(begun)
-    now, number = 0.6 * SETTINGS.period, len(worker.tasks)  # a search of the first plan has ended
-    gain = (1.05 if is_other else 1.01) * begun.constants.input_gain
-    other = with_plant(begun, constants=replace(begun.constants, input_gain=gain))
-    used.plan(later(other, plan.hold, now, 0.05))
-    assert [task.effort for task in worker.tasks[number:]] == [SETTINGS.planning_effort] * is_other

@@ -9,14 +9,13 @@ then the loop goes on as before. In line nothing is ahead.
 import itertools
 import math
 import time
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
@@ -78,8 +77,6 @@ class BackgroundSearch:
         """Solver with the acceleration that the drives attain, for new plans."""
         self._task: tuple[SearchTask, Situation] | None = None
         """The search under way, and the situation at the control time at which its plan begins."""
-        self._searched_for, self._is_other_plant = self._robot.lumped, False
-        """Constants that the last search for the present leg was with, and whether others hold."""
         self._seeds = itertools.count(1)
         self.improved_at = -math.inf
         """Control time at which a search that is not urgent has begun [s]."""
@@ -109,22 +106,13 @@ class BackgroundSearch:
         limited = replace(robot, max_rotor_acceleration=limit, max_rotor_speed=fastest)
         return solver_for(limited, self._tuning)
 
-    def use(self, plant: PlantEstimate) -> None:
-        """Search for a plant, at once where it is another one than in the last search of the leg.
-
-        The acceleration is that which the drives attain, unless it is as before.
-        """
+    def use_attained(self, acceleration: float) -> None:
+        """Search with the acceleration [rad/s^2] that the drives attain, unless as before."""
         tuning, limit = self._tuning, self._robot.max_rotor_acceleration
-        constants, least_change = astuple(plant.constants), 1.0 - tuning.attained_share
-        changes = np.divide(constants, astuple(self._searched_for)) - 1.0
-        is_other = bool(np.max(np.abs(changes)) > least_change)
-        if is_other and not self._is_other_plant:
-            self.improved_at = -math.inf
-        self._is_other_plant = is_other
-        share = min(1.0, tuning.attained_share * plant.acceleration / limit)
+        share = min(1.0, tuning.attained_share * acceleration / limit)
         share = max(share, tuning.slip_acceleration)
         before = self.solver.robot.max_rotor_acceleration / limit
-        if abs(share - before) > least_change * share:
+        if abs(share - before) > (1.0 - tuning.attained_share) * share:
             self.solver = self._solver_with(share)
 
     def cancel(self) -> None:
@@ -195,7 +183,6 @@ class BackgroundSearch:
 
         `deadline` is the steady clock reading [s] at which one in line stops. It `is_new` unless
         a plan to the goal itself is followed: failed searches then make the local goal nearer.
-        With a plan `known` it is one round, and for another plant as many as there is time for.
         `leg_began` is the control time at which the leg has begun [s].
         """
         worker, tuning = self._by, self._tuning
@@ -203,18 +190,13 @@ class BackgroundSearch:
         failed = self.failed_ahead if is_next else self.failed
         growth = tuning.growth(failed) if from_rest else 1.0
         longest = growth * tuning.longest_search
-        effort = round(growth * self._settings.planning_effort)
-        if known is not None:
-            effort *= self._is_other_plant
-            longest = min(longest, self._ahead) if effort and not from_rest else longest
-        if not is_next:
-            self._searched_for = start.constants
         if worker is self._in_line:
             longest = deadline - time.perf_counter()
         settings = self._settings
         asked = leg_began + settings.arrive_at - start.time if settings.arrive_at else -math.inf
         task = SearchTask(
-            solver.robot, tuning, start.from_zero(), next(self._seeds), effort, longest, from_rest,
+            solver.robot, tuning, start.from_zero(), next(self._seeds),
+            round(growth * settings.planning_effort), longest, from_rest,
             None if known is None else known.delayed(-start.time), failed if is_new else 0, rested,
             is_next, settings.time_margin, asked, spared,
         )

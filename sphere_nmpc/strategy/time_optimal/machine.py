@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSITION, QUATERNION, nearer_sign, state_error
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.at_rest import is_at_rest, is_saturated
@@ -112,10 +111,10 @@ class Machine:
             search.cancel()
         search.no_way, self._leg_began = "", math.nan
 
-    def use(self, plant: PlantEstimate) -> None:
-        """Plan for a plant, with the acceleration that its drives attain, also what remains."""
+    def use_attained(self, acceleration: float) -> None:
+        """Plan with the acceleration [rad/s^2] that the drives attain, also what remains."""
         state, before = self.state, self.search.solver.robot
-        self.search.use(plant)
+        self.search.use_attained(acceleration)
         if isinstance(state, InForce) and state.robot is before is not self.search.solver.robot:
             self.state = replace(state, robot=self.search.solver.robot)
 

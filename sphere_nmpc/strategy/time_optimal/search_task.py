@@ -48,7 +48,7 @@ class SearchTask:
     seed : int
         Seed of the initial guesses, and number of the motion that is found.
     effort : int
-        Planning effort of a new plan, and after a round of an earlier one.
+        Planning effort of a new plan.
     longest : float
         Wall time at which the search stops [s].
     from_rest : bool
@@ -140,8 +140,7 @@ class SearchTask:
         if start.error > self.tuning.arrival_error:
             return None
         search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
-        search.improve_once(end)
-        found = search.improve(self.effort, end)
+        found = search.improve_once(end)
         if found is start or found is None or found.duration + self.spared >= start.duration:
             return None
         return found

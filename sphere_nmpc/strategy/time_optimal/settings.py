@@ -99,7 +99,7 @@ class TimeOptimalSettings:
     attained_share: float = 0.97
     """Share [-] that plans use of the acceleration that the drives are found to attain: a limit of
     torque allows a few per cent less in some orientations. The limit of plans is kept while that
-    acceleration changes by no more than the rest, and a plan while the constants do."""
+    acceleration changes by no more than the rest."""
 
     # Holding at the goal
 

@@ -101,7 +101,7 @@ class TimeOptimalStrategy:
             at_rest.reset()
             machine.forget_goal()
         self._aimed = aimed
-        machine.use(situation.plant)
+        machine.use_attained(situation.plant.acceleration)
         before, end = machine.enter_leg(situation), None
         if isinstance(before, InForce):
             situation = situation.nearest_to(before.plan.leg.goal.pose)

@@ -58,8 +58,6 @@ class Hypothesis:
     """Whether there is an imbalance; otherwise it is zero."""
     weak: bool = False
     """Whether the drives attain less than the acceleration limit."""
-    weakened: bool = False
-    """Whether the drives did before the window."""
     disturbed: bool = False
     """Whether there was momentum or slope before the window."""
     torques: bool = False
@@ -113,7 +111,7 @@ class Hypothesis:
         count = self.events.count
         # Jumps of a sphere at rest look like a slope for a while.
         rare = count(Event.PUSHED) ** 2 + 3 * count(Event.TILTED) ** 2
-        rare += self.unbalanced + self.torques + self.renewed + (self.weak and not self.weakened)
+        rare += self.unbalanced + self.torques + self.renewed
         rare += 2 * sum(noise > 0.0 for noise in self.pose_noise)
         again = 0
         for times, known in ((count(Event.SLIPPED), self.slippery), (count(Event.LATE), False)):
@@ -131,7 +129,7 @@ class Hypothesis:
         event = self.events[0] in (Event.PUSHED, Event.TILTED)
         return replace(
             self, events=self.events[1:], disturbed=self.disturbed or self.torques or event,
-            torques=False, weakened=self.weak,
+            torques=False,
         )
 
     @property

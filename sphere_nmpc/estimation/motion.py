@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interval between two knots: poses, speeds, and the motion, linearised in the local unknowns."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +21,9 @@ from sphere_nmpc.estimation.posterior import (
 from sphere_nmpc.model.disturbance import Disturbance
 from sphere_nmpc.model.error_state import error_between
 from sphere_nmpc.model.first_order_hold import SAME, SHORTEST
-from sphere_nmpc.model.state import INPUT_SIZE, POSE, STATE_SIZE, Vector, angle_error
+from sphere_nmpc.model.rotation import vertical
+from sphere_nmpc.model.state import INPUT_SIZE, POSE, QUATERNION, STATE_SIZE, Vector, angle_error
+from sphere_nmpc.model.torque import attainable, largest_shares
 from sphere_nmpc.solver.roll_out import propagate, roll_out
 
 _LAG_STEP = 1e-2
@@ -54,18 +57,32 @@ class Interval:
         slopes = np.diff(self.inputs, axis=0) / self.durations[:, None]
         return float(np.max(np.abs(slopes), initial=0.0))
 
-    def driven(self, acceleration: float) -> "Interval":
-        """Return the interval with the speeds that drives of this limit [rad/s^2] attain.
+    def driven(
+        self, acceleration: float, state: Vector, constants: Vector, step: float
+    ) -> "Interval":
+        """Return the interval with the speeds that drives of limited torque attain.
 
-        A rotor that has fallen behind turns at the limit until it has caught up. At the start it
-        has the speed that was sent.
+        The torque is that of `acceleration` [rad/s^2] in space, so that the acceleration relative
+        to the shell depends on the orientation, which counts once in each `step` [s]; `state` is
+        that at the start of the interval. A rotor that has fallen behind turns at the limit until
+        it has caught up. At the start of the pieces it has the speed that was sent.
         """
-        if self.steepest <= acceleration:
+        share, turning = largest_shares(constants)
+        if share * self.steepest + turning * np.max(np.abs(self.inputs)) ** 2 <= acceleration:
             return self
         given = np.concatenate(([0.0], np.cumsum(self.durations)))
-        paths = [followed(given, column, acceleration) for column in self.inputs.T]
-        times = np.unique(np.concatenate([given, *(path[0] for path in paths)]))
-        times = times[np.concatenate(([True], np.diff(times) > SAME))]
+        times = _distinct(given, [self.lead], np.arange(0.0, given[-1], step))
+        sent = np.column_stack([np.interp(times, given, column) for column in self.inputs.T])
+        durations, begin = np.diff(times), int(np.searchsorted(times, self.lead - SAME))
+        # Back in time the same path is rolled with the opposite speeds.
+        back = roll_out(state[POSE], -sent[begin::-1], durations[:begin][::-1], constants)
+        verticals = vertical(roll_out(back[-1], sent, durations, constants)[:, QUATERNION])
+        verticals, middle = (0.5 * (one[:-1] + one[1:]) for one in (verticals, sent))
+        verticals /= np.linalg.norm(verticals, axis=1, keepdims=True)
+        slopes = np.diff(sent, axis=0) / durations[:, None]
+        limits = attainable(acceleration, verticals, middle, slopes, constants)
+        paths = [followed(times, *each) for each in zip(sent.T, *limits, strict=True)]
+        times = _distinct(times, *(path[0] for path in paths))
         speeds = np.column_stack([np.interp(times, *path) for path in paths])
         return replace(self, durations=np.diff(times), inputs=speeds)
 
@@ -84,21 +101,33 @@ class Interval:
         return np.diff(times), speeds, np.searchsorted(times, self.after).tolist()
 
 
-def followed(times: Vector, sent: Vector, limit: float) -> tuple[list[float], list[float]]:
-    """Return times [s] and speeds [rad/s] of the corners of one rotor's motion."""
+def _distinct(*times: Iterable[float]) -> Vector:
+    """Return all times in order; of those that are the same the first one."""
+    merged: Vector = np.sort(np.concatenate([list(some) for some in times]))
+    return merged[np.diff(merged, prepend=-np.inf) > SAME]
+
+
+def followed(
+    times: Vector, sent: Vector, low: Vector, high: Vector
+) -> tuple[list[float], list[float]]:
+    """Return times [s] and speeds [rad/s] of the corners of one rotor's motion.
+
+    Between the times its acceleration is at least that of `low`, and at most that of `high`.
+    """
     now, speed = float(times[0]), float(sent[0])
     corners, speeds = [now], [speed]
     ends, wants = times.tolist(), sent.tolist()
-    for begin, end, before, wanted in zip(ends, ends[1:], wants, wants[1:], strict=False):
+    pieces = zip(ends, ends[1:], wants, wants[1:], low.tolist(), high.tolist(), strict=False)
+    for begin, end, before, wanted, least, largest in pieces:
         if not end - begin > SAME:
             continue
         slope = (wanted - before) / (end - begin)
         behind = wanted - slope * (end - now) - speed
         while end - now > SAME:
             if abs(behind) < SAME:
-                rate, lasts = min(max(slope, -limit), limit), end - now
+                rate, lasts = min(max(slope, least), largest), end - now
             else:
-                rate = limit if behind > 0.0 else -limit
+                rate = largest if behind > 0.0 else least
                 closing = (rate - slope) * (1.0 if behind > 0.0 else -1.0)
                 caught = abs(behind) / closing if closing > 0.0 else np.inf
                 lasts = min(caught, end - now)
@@ -150,7 +179,8 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     state, disturbance = knot[:STATE_SIZE], disturbance_of(knot, common)
     step = scaling.numbers.step
     limit, lag, count = scaling.acceleration, scaling.lag(common), interval.after.size
-    driven = interval.driven(float(common[SHARE]) * limit)
+    share = float(common[SHARE])
+    driven = interval.driven(share * limit, state, constants, step) if share < 1.0 else interval
 
     def differ(other: Interval, longer: float, ends: Vector, change: float) -> Vector:
         durations, speeds, poses = other.window(lag + longer)
@@ -180,9 +210,9 @@ def motion(interval: Interval, knot: Vector, common: Vector, scaling: Scaling) -
     change = _LAG_STEP if lag < 0.5 * scaling.numbers.longest_lag else -_LAG_STEP
     by[:, :8, KNOT + LAG] = differ(driven, change * scaling.numbers.lag, ends, change)
     # Downwards, as ramps of plans are slightly less steep than the limit.
-    lower = float(common[SHARE]) - SHARE_STEP
-    if interval.steepest > lower * limit:
-        by[:, :8, KNOT + SHARE] = differ(interval.driven(lower * limit), 0.0, ends, -SHARE_STEP)
+    weaker = interval.driven((share - SHARE_STEP) * limit, state, constants, step)
+    if weaker is not interval:
+        by[:, :8, KNOT + SHARE] = differ(weaker, 0.0, ends, -SHARE_STEP)
     within = zip(ends[:-1], interval.poses[:-1], strict=True)
     innovations = [error_between(end[POSE], pose) for end, pose in within]
     rates = [

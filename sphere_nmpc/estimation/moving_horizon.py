@@ -89,7 +89,6 @@ class MovingHorizon:
         self._hypothesis = Hypothesis(
             unbalanced=known.unbalanced,
             weak=known.weak,
-            weakened=known.weak,
             disturbed=not known.undisturbed,
             pose_noise=known.pose_noise,
         )

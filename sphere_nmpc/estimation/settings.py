@@ -51,8 +51,8 @@ class EstimatorSettings:
     """Standard deviation of a pose predicted over an interval at rest [m, rad], and of what is
     added to it for each rad that is rolled."""
     share_spread: float = 0.03
-    """Standard deviation of the share between intervals [-]: a limit of torque is one of
-    acceleration that depends on the motion of the shell."""
+    """Standard deviation of the share between intervals [-]: what a drive attains of its limit
+    also depends on its controller."""
     momentum_walk: float = 0.05
     """Random walk of a momentum that is not zero [rad/s per sqrt(s)]."""
     slope_walk: float = 0.1

@@ -14,17 +14,24 @@ and the derivative of that, in which k x omega is perpendicular to omega,
 
     A domega/dt = -c1 [du/dt, 0] + r1 (k . omega) dk/dt.
 
-Its last term is the torque at constant rotor speeds while the shell rotates. The maxima of both
-parts over all orientations are computed once, so that a torque limit becomes an acceleration limit
-that is valid everywhere: with W = -c1 A^-1, |u_i| <= u_max and |du_i/dt| <= a,
+Its last term is the torque at constant rotor speeds while the shell rotates. With the inverse of A
+by Sherman and Morrison, k_h = (k_x, k_y) and N = 1 - r1 |k_h|^2 - r3 k_z^2,
 
-    |tau_i| <= I1 (s a + w),   s = max_k sum_j |1_ij + W_ij|,   w = max_{k, u} |domega_i/dt|,
+    domega/dt = -c1 (du/dt + r1 (k_h . du/dt) k_h / N)
+                + r1 (1 - r3) c1^2 (k_h . u) k_z (-u_2, u_1) / N^2.
 
-the last one at constant speeds.
+The largest values of both parts over all orientations make a torque limit an acceleration limit
+that is valid everywhere: with |u_i| <= u_max and |du_i/dt| <= a,
+
+    |tau_i| <= I1 (s a + w u_max^2).
+
+The first part is largest where |k_x k_y| - k_i^2 is, (sqrt(2) - 1) / 2 of |k_h|^2, with k level.
+The second one is it where g(x) = sqrt(x) (1 + x) / (1 - r1 + (1 - r3) x)^2 of x = (k_z / |k_h|)^2
+is, at the positive root of (1 - r3) x^2 - 3 (r3 - r1) x = 1 - r1.
 """
 
+import math
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -32,14 +39,7 @@ from sphere_nmpc.errors import InvalidParameterError
 from sphere_nmpc.model import rotation
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
-from sphere_nmpc.model.state import INPUT_SIZE, QUATERNION, Vector
-
-_DIRECTIONS = 500
-"""Directions of the vertical in the search; the maxima are flat, 400 give them within 1 %."""
-_MARGIN = 1.01
-"""Factor on the largest values found."""
-_SPEEDS_ON_EDGE = 21
-"""Rotor speeds in the search on each edge of the square |u_i| <= u_max."""
+from sphere_nmpc.model.state import QUATERNION, Vector
 
 
 def torques(
@@ -80,7 +80,7 @@ def largest_acceleration(robot: RobotParameters) -> float:
     if robot.max_rotor_torque <= 0.0:
         return robot.max_rotor_acceleration
     inertia = robot.rotor_axial_inertia
-    share, turning = _worst(*robot.lumped.as_array()[1:])
+    share, turning = largest_shares(robot.lumped.as_array())
     at_speed = turning * robot.max_rotor_speed**2
     left = (robot.max_rotor_torque / inertia - at_speed) / share
     if left < 1.0:
@@ -97,19 +97,17 @@ def within_torque(robot: RobotParameters) -> RobotParameters:
     return replace(robot, max_rotor_acceleration=largest_acceleration(robot))
 
 
-@cache
-def _worst(input_gain: float, transverse_ratio: float, axial_ratio: float) -> tuple[float, float]:
-    """Return s [-] and w / u_max^2 [-] of the bound in the module's docstring."""
-    p = np.array([1.0, input_gain, transverse_ratio, axial_ratio])
-    verticals = _directions(_DIRECTIONS)
-    still = np.zeros((_DIRECTIONS, INPUT_SIZE))
-    gains = [np.abs(rotor_acceleration(verticals, still, still + du, p)) for du in np.eye(2)]
-    along = np.linspace(-1.0, 1.0, _SPEEDS_ON_EDGE)
-    # Quadratic in the speeds, it is largest on the edges of the square; opposite edges agree.
-    edges = np.vstack([np.column_stack((np.ones(_SPEEDS_ON_EDGE), along)),
-                       np.column_stack((along, np.ones(_SPEEDS_ON_EDGE)))])
-    turning = [np.abs(rotor_acceleration(verticals, still + u, still, p)).max() for u in edges]
-    return _MARGIN * float(np.max(sum(gains))), _MARGIN * float(np.max(turning))
+def largest_shares(constants: Vector) -> tuple[float, float]:
+    """Return s [-] and w [-] of the bound in the module's docstring."""
+    _, c1, r1, r3 = constants.tolist()
+    level, upright = 1.0 - r1, 1.0 - r3
+    half = 1.5 * (upright - level)
+    x = (math.sqrt(half**2 + level * upright) - half) / upright
+    turning = math.sqrt(2.0 * x) * (1.0 + x) / (level + upright * x) ** 2
+    return (
+        1.0 - c1 + c1 * r1 * (math.sqrt(2.0) - 1.0) / (2.0 * level),
+        r1 * upright * c1**2 * turning,
+    )
 
 
 def rotor_acceleration(verticals: Vector, u: Vector, du: Vector, constants: Vector) -> Vector:
@@ -127,21 +125,28 @@ def rotor_acceleration(verticals: Vector, u: Vector, du: Vector, constants: Vect
         Lumped constants [Rs, c1, r1, r3].
     """
     _, c1, r1, r3 = constants
-    inertia = np.diag((1.0, 1.0, r1 / r3)) - r1 * verticals[:, :, None] * verticals[:, None, :]
-
-    def solved(speeds: Vector, torque: Vector) -> Vector:
-        torque[:, :INPUT_SIZE] -= c1 * speeds
-        solution: Vector = np.linalg.solve(inertia, torque[:, :, None])[:, :, 0]
-        return solution
-
-    rate = solved(u, np.zeros((len(u), 3)))
-    along = np.sum(verticals * rate, axis=1, keepdims=True)
-    shell = solved(du, r1 * along * np.cross(verticals, rate))
-    return shell[:, :INPUT_SIZE] + du
+    level, left = _level(verticals, constants)
+    along, change = (np.sum(level * v, axis=1, keepdims=True) / left for v in (u, du))
+    turning = along * verticals[:, 2:] / left * u[:, ::-1] * (-1.0, 1.0)
+    accelerations: Vector = du - c1 * (du + r1 * change * level)
+    return accelerations + r1 * (1.0 - r3) * c1**2 * turning
 
 
-def _directions(number: int) -> Vector:
-    """Return directions, shape (number, 3), that are spread evenly over the sphere."""
-    height = 1.0 - (2.0 * np.arange(number) + 1.0) / number
-    angle, flat = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(number), np.sqrt(1.0 - height**2)
-    return np.column_stack((flat * np.cos(angle), flat * np.sin(angle), height))
+def attainable(
+    limit: float, verticals: Vector, u: Vector, du: Vector, constants: Vector
+) -> tuple[Vector, Vector]:
+    """Return the least and the largest du/dt of each rotor, with that of the other one.
+
+    Both have the shape (2, K); the acceleration in space is within `limit` [rad/s^2]. The other
+    parameters are those of `rotor_acceleration`.
+    """
+    level, left = _level(verticals, constants)
+    own = 1.0 - constants[1] * (1.0 + constants[2] * level**2 / left)
+    others = rotor_acceleration(verticals, u, du, constants) - own * du
+    return ((-limit - others) / own).T, ((limit - others) / own).T
+
+
+def _level(verticals: Vector, constants: Vector) -> tuple[Vector, Vector]:
+    """Return k_h, shape (K, 2), and N, (K, 1), of the module's docstring."""
+    squares = verticals**2 @ constants[[2, 2, 3]]
+    return verticals[:, :2], 1.0 - squares[:, None]

@@ -119,10 +119,10 @@ def identified_drives(commands: Commands, measured: Series) -> Drives | None:
     largest = float(np.max(np.abs(commands.speeds)))
 
     def residuals(lag: float, acceleration: float, speed: float) -> Vector:
-        found = []
+        found, limits = [], np.full(first.size - 1, acceleration)
         for given, measured in zip(commands.speeds.T, speeds.T, strict=True):
             wanted = np.clip(np.concatenate((measured[:1], given)), -speed, speed)
-            corners, path = followed(first, wanted, acceleration)
+            corners, path = followed(first, wanted, -limits, limits)
             found.append(np.interp(times - lag, corners, path) - measured)
         return np.concatenate(found)
 

@@ -321,10 +321,10 @@ class Machine:
 
     def until(self, situation: Situation) -> float:
         """Return the control time before which no other plan is wanted [s] if nothing is new."""
-        state, now = self.state, situation.time
-        until = self.search.a_period_after(now)
+        state = self.state
+        now = since = situation.time
         if isinstance(state, Holding):
-            return -math.inf if situation.goal.rate.any() else until
+            return -math.inf if situation.goal.rate.any() else self.search.a_period_after(now)
         if not isinstance(state, InForce) or not _reaches(state):
             return -math.inf
         if not self.search.is_busy:
@@ -332,8 +332,8 @@ class Machine:
             if state.plan.leg.end is LegEnd.THROUGH or (lacks_next and state.after is None):
                 return -math.inf
             if lacks_next or not self._is_improved(state, now):
-                until = self.search.next_at
-        return min(until, state.plan.end)
+                since = self.search.improved_at
+        return min(self.search.a_period_after(since), state.plan.end)
 
 
 def _ends_leg(followed: InForce, situation: Situation) -> bool:

@@ -42,7 +42,7 @@ def drive(
     horizon: MovingHorizon, robot: RobotParameters, speeds: list[Vector], share: float = np.inf,
     noise: float = 0.0, moved: float = 0.0,
 ) -> None:
-    """Send ramps to a plant with drives of a share of the limit, and pass the poses on.
+    """Send ramps to a plant with drives of a share of the torque, and pass the poses on.
 
     The robot is moved by `moved` [m] in each direction during the fifth sample.
     """
@@ -52,7 +52,8 @@ def drive(
         sent.append(wanted)
         durations, inputs = np.full(5, PERIOD), np.array(sent[-6:])
         raw = Interval(np.array([PERIOD]), plant.state[None], durations, inputs, lead=4.0 * PERIOD)
-        pieces, attained, _ = raw.driven(share * LIMIT).window(0.0)
+        driven = raw.driven(share * LIMIT, plant.state, robot.lumped.as_array(), 0.1 * PERIOD)
+        pieces, attained, _ = driven.window(0.0)
         for duration, ends in zip(pieces, attained[1:], strict=True):
             plant.advance(ends, float(duration))
         away = noise * rng.normal(size=6)

@@ -24,13 +24,19 @@ from sphere_nmpc.model.disturbance import (
 )
 from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.rotation import random_quaternion
-from sphere_nmpc.model.state import POSITION, Vector, make_state, without_momentum
-from sphere_nmpc.model.torque import largest_acceleration, torques, within_torque
+from sphere_nmpc.model.rotation import random_quaternion, vertical
+from sphere_nmpc.model.state import POSITION, make_state, without_momentum
+from sphere_nmpc.model.torque import (
+    largest_acceleration,
+    rotor_acceleration,
+    torques,
+    within_torque,
+)
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.quantities import quantities
 from sphere_nmpc.settings import ControllerSettings
 from sphere_nmpc.strategy.contract import Situation, make_strategy
+from sphere_sim.scenario.perturbation import perturbed
 from sphere_sim.scenario.scenarios import PAPER_CASES
 from sphere_sim.world.plant.rolling_plant import RollingPlant
 
@@ -191,18 +197,16 @@ def test_torques_of_a_plan_are_those_of_the_plant() -> None:
         assert part.shape == (0, 2)
 
 
-@pytest.mark.parametrize("limit", [0.4, 3.2])
-def test_slew_within_a_torque_limit_keeps_it_everywhere(limit: float) -> None:
-    slew = largest_acceleration(replace(ROBOT, max_rotor_torque=limit))
-    assert slew < limit / INERTIA
-    rng, worst = np.random.default_rng(2), 0.0
-    for _ in range(200):
-        state: Vector = make_state((0.0, 0.0), random_quaternion(rng))
-        speeds, change = rng.choice([-1.0, 1.0], (2, 2)) * [[100.0], [slew * 1e-3]]
-        hold = FirstOrderHold(np.array([0.0, 1e-3]), np.vstack((speeds, speeds + change)))
-        after, _ = torques(np.vstack((state, state)), hold, ROBOT.lumped, INERTIA)
-        worst = max(worst, float(np.max(np.abs(after))))
-    assert 0.9 * limit < worst <= limit
+@pytest.mark.parametrize("seed", range(6))
+def test_slew_within_a_torque_limit_keeps_it_everywhere(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot, limit = perturbed(ROBOT, 0.5, rng), rng.uniform(0.5, 3.2)
+    robot = replace(robot, max_rotor_torque=limit, max_rotor_acceleration=1e6)
+    slew = largest_acceleration(robot)
+    verticals = vertical(np.array([random_quaternion(rng) for _ in range(20_000)]))
+    u, du = rng.choice([-1.0, 0.0, 1.0], (2, 20_000, 2)) * [[[robot.max_rotor_speed]], [[slew]]]
+    found = np.max(np.abs(rotor_acceleration(verticals, u, du, robot.lumped.as_array())))
+    assert 0.9 * limit < robot.rotor_axial_inertia * found <= limit * (1.0 + 1e-12)
 
 
 def test_without_a_limit_or_with_a_generous_one_the_slew_stays_and_too_low_a_one_is_refused():

@@ -12,7 +12,7 @@ import numpy as np
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
@@ -104,24 +104,23 @@ class SearchTask:
         It is another one than that which is known. Without one it is why there is none wherever
         one searches; empty where that is not so.
         """
-        began, situation = time.perf_counter(), self.situation
+        began = time.perf_counter()
         is_paced = self.margin > 0.0 or self.spared > 0.0 or self.asked > -math.inf
         end = began + (_SEARCH_SHARE if is_paced else 1.0) * self.longest
-        guide = Guide(situation, self.solver, self.rested)
-        if self.known is None:
-            found = self._new(situation, guide, self.failed, end)
-        else:
-            found = self._earlier(situation, guide, self.known, end)
+        found = self._new(end) if self.known is None else self._earlier(self.known, end)
         if not isinstance(found, Plan):
             return found or ""
         if is_paced and found.leg.end is LegEnd.REST:
-            found = self._paced(situation, found, began + self.longest)
+            found = self._paced(self.situation, found, began + self.longest)
         return replace(found, made=replace(found.made, motion=self.seed))
 
-    def _new(
-        self, situation: Situation, guide: Guide, failed: int, end: float
-    ) -> Plan | str | None:
-        guidance = guide.guidance(failed)
+    @property
+    def _guide(self) -> Guide:
+        return Guide(self.situation, self.solver, self.rested)
+
+    def _new(self, end: float) -> Plan | str | None:
+        situation, guide = self.situation, self._guide
+        guidance = guide.guidance(self.failed)
         if guidance.reason:
             return guidance.reason
         for aim in guidance.aims:
@@ -139,53 +138,56 @@ class SearchTask:
             return None if line is None else guide.on_the_way(line)
         return found
 
-    def _earlier(
-        self, situation: Situation, guide: Guide, known: Plan, end: float
-    ) -> Plan | str | None:
-        """Return a plan with an earlier arrival than the one that is known; None without one."""
-        solver, is_passed = self.solver, known.leg.end is LegEnd.THROUGH
+    def _earlier(self, known: Plan, end: float) -> Plan | str | None:
+        """Return a plan that is better than the one that is known; None without one."""
+        situation, solver = self.situation, self.solver
+        is_passed = known.leg.end is LegEnd.THROUGH
         goal = known.leg.goal if is_passed else situation.goal
         start = solver.solve(situation, goal, known.hold, budget=self.longest, kept=True)
         start = replace(start, leg=replace(known.leg, goal=start.leg.goal))
         is_kept = start.error <= self.tuning.arrival_error
-        is_chain = not situation.floor.is_empty and situation.has_small_momentum
-        if is_passed and not (is_chain and is_kept):
-            return self._new(situation, guide, self.failed, end)
+        in_parts = not situation.floor.is_empty and situation.has_small_momentum
+        if is_passed and not (in_parts and is_kept):
+            return self._new(end)
         if not is_kept:
             return None
-        if is_chain and not start.made.turns and not situation.goal.rate.any():
-            best = self._improved(situation, start, end)
+        if in_parts and not start.made.turns and not situation.goal.rate.any():
+            best = self._in_parts(start, end)
         else:
-            search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
+            search = ArrivalSearch(solver, situation, self.seed, start, self._guide.detour())
             best = search.improve_once(end) or start
         return best if best.cost + self.spared < start.cost else None
 
-    def _improved(self, situation: Situation, plan: Plan, end: float) -> Plan:
-        """Return a chain that is extended, and of which parts take less time, or itself."""
-        solver, rng, work = self.solver, np.random.default_rng(self.seed), 0
-        shortest, longest = (ratio * solver.grid.unit for ratio in _PART_TIMES)
+    def _in_parts(self, plan: Plan, end: float) -> Plan:
+        """Return a plan that leads on from a state of the given one, and of which parts are new.
+
+        It is the given one where that is the best.
+        """
+        situation, solver = self.situation, self.solver
+        rng, unit = np.random.default_rng(self.seed), solver.grid.unit
         if plan.leg.end is LegEnd.THROUGH:
-            begin = max(0.0, plan.hold.end - longest * rng.random() ** 2)
+            begin = max(0.0, plan.hold.end - _PART_TIMES[1] * unit * rng.random() ** 2)
             there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
-            guide = Guide(there, solver, self.rested)
-            found = self._new(there, guide, 0, end)
-            if isinstance(found, Plan):
-                whole = extended(situation, plan, begin, found, solver)
-                if whole is not None and whole.cost < plan.cost:
-                    plan = whole
+            rested = situation.state[POSITION] if self.rested is None else self.rested
+            from_rest = self.from_rest and not begin > 0.0
+            task = replace(self, situation=there, failed=0, from_rest=from_rest, rested=rested)
+            further = task._new(end)
+            if isinstance(further, Plan):
+                plan = _better(plan, extended(situation, plan, begin, further, solver))
+        work = 0
         while work < _PARTS_SHARE * self.effort and time.perf_counter() < end:
-            left = plan.hold.end
-            length = min(left, rng.uniform(shortest, longest))
-            begin = min(max(0.0, rng.uniform(-0.5 * length, left - 0.5 * length)), left - length)
             times = plan.hold.times
-            begin, until = (times[np.argmin(abs(times - one))] for one in (begin, begin + length))
+            length = min(plan.hold.end, rng.uniform(*_PART_TIMES) * unit)
+            latest = plan.hold.end - length
+            begin = np.clip(rng.uniform(-0.5, 0.5) * length + rng.random() * latest, 0.0, latest)
+            begin, until = (
+                float(times[np.argmin(np.abs(times - each))]) for each in (begin, begin + length)
+            )
             if until - begin < 4.0 * solver.grid.spacing:
                 break
             seed = int(rng.integers(2**31))
             whole, spent = replanned(situation, plan, begin, until, solver, seed, end)
-            if whole is not None and whole.cost < plan.cost:
-                plan = whole
-            work += spent
+            plan, work = _better(plan, whole), work + spent
         return plan
 
     def _paced(self, situation: Situation, found: Plan, end: float) -> Plan:
@@ -211,3 +213,8 @@ class SearchTask:
         aimed = situation.aimed_at(Goal(lines[0]))
         found = ArrivalSearch(self.solver, aimed, self.seed).improve(self.effort, end)
         return None if found is None else with_lines(situation, found, lines[1])
+
+
+def _better(plan: Plan, other: Plan | None) -> Plan:
+    """Return another plan where there is one and it costs less."""
+    return plan if other is None or other.cost >= plan.cost else other

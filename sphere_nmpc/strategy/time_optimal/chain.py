@@ -114,8 +114,7 @@ def _joined(
     """Return holds one after the other as one plan to the end of another; None if not clear."""
     hold = solver.grid.thinned(joined(holds))
     found = solver.solve(situation, plan.leg.goal, hold, kept=True)
-    if found.error > solver.settings.arrival_error:
-        return None
-    if not is_clear(situation, found.hold, Margin.KEPT):
+    is_there = found.error <= solver.settings.arrival_error
+    if not (is_there and is_clear(situation, found.hold, Margin.KEPT)):
         return None
     return replace(found, leg=replace(plan.leg, goal=found.leg.goal))

@@ -151,7 +151,7 @@ class SearchTask:
             return self._new(end)
         if not is_kept:
             return None
-        if in_parts and not start.made.turns and not situation.goal.rate.any():
+        if in_parts and not (start.made.turns or self.spared or situation.goal.rate.any()):
             best = self._in_parts(start, end)
         else:
             search = ArrivalSearch(solver, situation, self.seed, start, self._guide.detour())

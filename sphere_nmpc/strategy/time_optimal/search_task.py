@@ -166,7 +166,7 @@ class SearchTask:
         situation, solver = self.situation, self.solver
         rng, unit = np.random.default_rng(self.seed), solver.grid.unit
         if plan.leg.end is LegEnd.THROUGH:
-            begin = max(0.0, plan.hold.end - _PART_TIMES[1] * unit * rng.random() ** 2)
+            begin = max(0.0, plan.hold.end - _PART_TIMES[1] * unit * rng.random())
             there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
             rested = situation.state[POSITION] if self.rested is None else self.rested
             from_rest = self.from_rest and not begin > 0.0

@@ -27,8 +27,10 @@ from sphere_nmpc.worker.contract import Store
 
 _SEARCH_SHARE = 0.75
 """Share of the wall time of a search after which the motors are spared with what it has found."""
-_PART_TIMES = 3.5, 8.75
-"""Durations of the parts of a chain that are searched for an earlier arrival [1 / (c1 u_max)]."""
+_LONGEST_PART, _SHORTEST_PART = 8.75, 0.4
+"""Duration of the parts of a plan that are searched for anew [1 / (c1 u_max)], and least share of
+it. A shorter plan is searched for as a whole, by a round: where commands are late, more of
+them would change the last manoeuvre at each sample."""
 _PARTS_SHARE = 0.5
 """Share of the effort of a search for which parts of a chain are searched for."""
 
@@ -115,6 +117,10 @@ class SearchTask:
         return replace(found, made=replace(found.made, motion=self.seed))
 
     @property
+    def _longest_part(self) -> float:
+        return _LONGEST_PART * self.solver.grid.unit
+
+    @property
     def _guide(self) -> Guide:
         return Guide(self.situation, self.solver, self.rested)
 
@@ -146,12 +152,14 @@ class SearchTask:
         start = solver.solve(situation, goal, known.hold, budget=self.longest, kept=True)
         start = replace(start, leg=replace(known.leg, goal=start.leg.goal))
         is_kept = start.error <= self.tuning.arrival_error
-        in_parts = not situation.floor.is_empty and situation.has_small_momentum
+        in_parts = not (situation.floor.is_empty or situation.goal.rate.any())
+        in_parts &= situation.has_small_momentum
         if is_passed and not (in_parts and is_kept):
             return self._new(end)
         if not is_kept:
             return None
-        if in_parts and not (start.made.turns or self.spared or situation.goal.rate.any()):
+        in_parts &= start.duration > self._longest_part and not (start.made.turns or self.spared)
+        if in_parts or is_passed:
             best = self._in_parts(start, end)
         else:
             search = ArrivalSearch(solver, situation, self.seed, start, self._guide.detour())
@@ -164,9 +172,9 @@ class SearchTask:
         It is the given one where that is the best.
         """
         situation, solver = self.situation, self.solver
-        rng, unit = np.random.default_rng(self.seed), solver.grid.unit
+        rng, work = np.random.default_rng(self.seed), 0
         if plan.leg.end is LegEnd.THROUGH:
-            begin = max(0.0, plan.hold.end - _PART_TIMES[1] * unit * rng.random())
+            begin = max(0.0, plan.hold.end - self._longest_part * rng.random())
             there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
             rested = situation.state[POSITION] if self.rested is None else self.rested
             from_rest = self.from_rest and not begin > 0.0
@@ -174,17 +182,15 @@ class SearchTask:
             further = task._new(end)
             if isinstance(further, Plan):
                 plan = _better(plan, extended(situation, plan, begin, further, solver))
-        work = 0
-        while work < _PARTS_SHARE * self.effort and time.perf_counter() < end:
-            times = plan.hold.times
-            length = min(plan.hold.end, rng.uniform(*_PART_TIMES) * unit)
-            latest = plan.hold.end - length
-            begin = np.clip(rng.uniform(-0.5, 0.5) * length + rng.random() * latest, 0.0, latest)
+        while plan.hold.end > self._longest_part and work < _PARTS_SHARE * self.effort:
+            if time.perf_counter() > end:
+                break
+            times, length = plan.hold.times, self._longest_part * rng.uniform(_SHORTEST_PART, 1.0)
+            begin = rng.uniform(-0.5 * length, plan.hold.end - 0.5 * length)
+            begin = min(max(0.0, begin), plan.hold.end - length)
             begin, until = (
                 float(times[np.argmin(np.abs(times - each))]) for each in (begin, begin + length)
             )
-            if until - begin < 4.0 * solver.grid.spacing:
-                break
             seed = int(rng.integers(2**31))
             whole, spent = replanned(situation, plan, begin, until, solver, seed, end)
             plan, work = _better(plan, whole), work + spent
@@ -195,7 +201,7 @@ class SearchTask:
         margin, longer = self.margin, 0.0
         if self.asked > -math.inf:
             margin, longer = 0.0, max(0.0, self.asked - found.end)
-        elif self.known is not None:
+        elif self.known is not None and self.known.leg.end is LegEnd.REST:
             margin, longer = 0.0, self.spared
         slower = slowed(found.hold, found.made.turns > 0, margin, longer)
         spared = slower.end - found.end

@@ -74,8 +74,8 @@ def test_each_plan_of_a_chain_leads_from_the_start_within_all_limits(chain) -> N
         states = roll_out(
             SITUATION.state, hold.speeds, hold.durations, ROBOT.lumped.as_array(), 1e-3
         )
-        # The steps of the plan are of up to 25 ms, those here of 1 ms.
-        assert state_error(states[-1], plan.leg.goal.nearest(states[-1], hold.end)) < 1e-3
+        # Steps of a plan are of up to 62 ms, those here of 1 ms.
+        assert state_error(states[-1], plan.leg.goal.nearest(states[-1], hold.end)) < 1e-2
 
 
 def test_a_part_leads_from_one_state_in_motion_to_the_other(chain) -> None:

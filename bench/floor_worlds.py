@@ -103,16 +103,16 @@ def run_with_area(
     elif area.endswith("beside"):
         place, met = place + 3.0 * across, 0.0
     loop = SampledLoop(start, conditions.controller, goal=goal, floor=floor, search_time=0.08)
-    in_motion = np.zeros(0)
+    restless = np.zeros(0)
     if area == "none":
         loop.run(longest_run(length))
     else:
         corners, velocity = place - met * speed * across + _SQUARE, speed * across
-        in_motion = loop.run_with_area(corners, velocity, longest_run(length))
+        restless = loop.run_with_area(corners, velocity, longest_run(length))
     return {
         "settled": finite(loop.settled()), "plans": loop.controller.plans,
         "tasks": len(loop.worker.tasks), "solves": sum(each.is_new for each in loop.decisions),
-        "contacts": in_motion.size, "in motion": int(in_motion.sum()),
+        "contacts": restless.size, "restless": int(restless.sum()),
     }
 
 
@@ -170,7 +170,7 @@ TABLES = {
     "gaps": Table(_COLUMNS, _of_gaps, run, _cells, number=10, seed=0),
     "areas": Table((
         "area", "speed [m/s]", "clearance [m]", "world", "settled", "after: median (worst) [s]",
-        "motions", "searches", "solves", "contacts", "begun in motion",
+        "motions", "searches", "solves", "contacts", "without a rest before",
     ), _of_areas, run_with_area, _area_cells, number=6, seed=0),
 }
 

@@ -43,6 +43,8 @@ class Leg:
         Length of the way there [m].
     follows : Path or None
         Path to the goal that the centre follows; None where any way leads there.
+    speeds : tuple of float
+        Rotor speeds at its end beyond those that hold the momentum [rad/s].
     """
 
     goal: Goal
@@ -50,6 +52,7 @@ class Leg:
     time_left: float = 0.0
     way_left: float = 0.0
     follows: Path | None = None
+    speeds: tuple[float, float] = (0.0, 0.0)
 
     def equals(self, other: "Leg") -> bool:
         """Return whether it leads to the same goal, along the same path if along one."""

@@ -18,6 +18,9 @@ from sphere_nmpc.model.state import MOMENTUM, POSITION, Vector
 from sphere_nmpc.reporting.conditions import Condition, Kind
 from sphere_nmpc.solver.roll_out import roll_out
 
+UNPLANNED_RATIO = 1.5
+"""Factor on the time of a way that is not planned yet, as of rolling it without a manoeuvre, where
+plans are compared: one that leads on is better, though its manoeuvre costs time."""
 _NOWHERE = Leg(Goal(np.full(6, np.nan), since=math.nan))
 
 
@@ -154,8 +157,12 @@ class Plan:
 
     @property
     def cost(self) -> float:
-        """Arrival that plans are compared by [s]: without the time that spares the motors."""
-        return self.arrival - self.spared
+        """Arrival that plans are compared by [s]: without the time that spares the motors.
+
+        What is not planned yet counts more, see `UNPLANNED_RATIO`.
+        """
+        leg = self.leg
+        return leg.goal.since + UNPLANNED_RATIO * leg.time_left - self.spared
 
     @property
     def momentum(self) -> Vector:

@@ -36,7 +36,7 @@ from sphere_nmpc.settings import STRATEGIES, ControllerSettings
 from sphere_nmpc.strategy.at_rest import SATURATED, AtRest, holdable_goal
 from sphere_nmpc.strategy.contract import Situation, make_strategy
 from sphere_nmpc.strategy.plan import Plan, PlanStatus
-from sphere_nmpc.strategy.time_optimal.background import later
+from sphere_nmpc.strategy.time_optimal.chain import later
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
 from sphere_nmpc.strategy.time_optimal.strategy import TimeOptimalStrategy
 from sphere_sim.scenario.scenarios import draw_scenarios

@@ -193,8 +193,8 @@ class SampledLoop:
     def run_with_area(self, corners: Vector, velocity: Vector, duration: float) -> Vector:
         """Run while an upright rectangle, by its corners, shape (4, 2) [m], moves on the floor.
 
-        Ten times a second it is announced. Return whether the sphere moves, for each time that
-        the rectangle begins to touch it.
+        Ten times a second it is announced. Return whether the sphere has not come to rest, for
+        each time that the rectangle begins to touch it, since it was last clear of it.
         """
         floor, since = self.controller.floor, self.time
         layers, first = Layers(map=floor.grid), len(self.times)
@@ -204,8 +204,11 @@ class SampledLoop:
             self.run(0.1)
         places, way = self.places[first:], np.outer(np.array(self.times[first:]) - since, velocity)
         away = places - np.clip(places, corners.min(axis=0) + way, corners.max(axis=0) + way)
-        touches = np.linalg.norm(away, axis=1) < floor.radius
-        return np.diff(places, axis=0).any(axis=1)[touches[1:] & ~touches[:-1]]
+        distances, moves = np.linalg.norm(away, axis=1), np.diff(places, axis=0).any(axis=1)
+        touches = distances < floor.radius
+        clear = np.flatnonzero(distances > floor.needed)
+        begun = np.flatnonzero(touches[1:] & ~touches[:-1])
+        return np.array([moves[clear[clear <= k][-1] : k + 1].all() for k in begun], dtype=bool)
 
     def path(self) -> Vector:
         """Return the path of the hold in force from now on, at poses 1 mm apart, shape (K, 6)."""

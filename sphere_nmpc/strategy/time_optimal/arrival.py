@@ -141,7 +141,7 @@ class ArrivalSolver:
                 knots = knots + self._compensation(situation, durations, knots)
             problems.append(self._problem(
                 LeastSquaresProblem, situation, moved(pose, goal.rate, times[-1]), orientation,
-                durations, self.grid.spacing, end=End.REST, input_weight=_REGULARISATION,
+                durations, self.grid.spacing, input_weight=_REGULARISATION,
             ))
             starts.append(knots)
         trials = list[Trial]()
@@ -295,10 +295,12 @@ class ArrivalSolver:
     ) -> _Kind:
         """Return a problem with the bounds of the drives, and with other fields."""
         upper = np.full((durations.size, INPUT_SIZE), self._max_speed)
+        end_speeds = np.array(situation.course.legs[situation.leg].speeds)
         return kind(
             state=situation.state, goal=goal, input_in_force=situation.speeds,
             durations=durations, constants=situation.constants.as_array(), lower=-upper,
-            upper=upper, input_scale=self._max_speed, max_acceleration=self._acceleration,
+            upper=upper, end=End.STATE, end_speeds=end_speeds, input_scale=self._max_speed,
+            max_acceleration=self._acceleration,
             max_step=max_step, torques=situation.disturbance.as_array(),
             turn_weights=orientation.weights, **others,
         )

@@ -11,15 +11,13 @@ import math
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from sphere_nmpc.floor.floor import Floor
-from sphere_nmpc.model.first_order_hold import SHORTEST, FirstOrderHold
+from sphere_nmpc.model.course import LegEnd
+from sphere_nmpc.model.first_order_hold import SHORTEST
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
 from sphere_nmpc.model.units import RobotUnits
 from sphere_nmpc.settings import ControllerSettings
-from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import Plan
@@ -148,7 +146,8 @@ class BackgroundSearch:
         if self._task is None:
             return False
         task, _ = self._task
-        return task.known is None and not task.is_next
+        known = task.known
+        return (known is None or known.leg.end is LegEnd.THROUGH) and not task.is_next
 
     def begins(self, now: float) -> float:
         """Return the control time at which the plan of a search that begins now starts [s]."""
@@ -176,7 +175,7 @@ class BackgroundSearch:
 
     def begin(
         self, start: Situation, solver: ArrivalSolver, deadline: float, rested: Vector | None,
-        from_rest: bool = False, known: FirstOrderHold | None = None, is_new: bool = True,
+        from_rest: bool = False, known: Plan | None = None, is_new: bool = True,
         is_next: bool = False, leg_began: float = -math.inf, spared: float = 0.0,
     ) -> None:
         """Begin a search; see `SearchTask`.
@@ -255,22 +254,3 @@ def _sooner(plan: Plan, earlier: float) -> Plan:
         plan, hold=hold, leg=replace(plan.leg, goal=goal), asked=plan.asked - earlier,
         spared=plan.spared - earlier,
     )
-
-
-def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:
-    """Return the situation at control time `time` [s] if the rotors follow `hold` until then.
-
-    It is predicted in integration steps of up to `max_step` [s].
-    """
-    now = situation.time
-    if time <= now:
-        return situation
-    knots = hold.times[(hold.times > now) & (hold.times < time)]
-    times = np.concatenate(([now], knots, [time]))
-    speeds: Vector = np.array([hold.at(float(t)) for t in times])
-    state = roll_out(
-        situation.state, speeds, np.diff(times), situation.constants.as_array(), max_step,
-        situation.disturbance,
-    )[-1]
-    in_force = hold.starting_at(time, speeds[-1])
-    return replace(situation, time=time, state=state, in_force=in_force)

@@ -26,8 +26,9 @@ from sphere_nmpc.model.state import POSE, POSITION, QUATERNION, Vector, without_
 from sphere_nmpc.solver.roll_out import roll_out
 from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
-from sphere_nmpc.strategy.plan import Plan
+from sphere_nmpc.strategy.plan import UNPLANNED_RATIO, Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
+from sphere_nmpc.strategy.time_optimal.chain import joined
 from sphere_nmpc.strategy.time_optimal.lines import gone_back, line_hold
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -51,8 +52,6 @@ _MAX_LINES = 6
 _OPEN_ROOM, _NARROW_ROOM = 0.8, 0.2
 """Room beyond the needed distance [Rs] with which a search finds motions easily; room at a goal
 below which it hardly does."""
-_REST_TIME_RATIO = 1.5
-"""Time of the rest of a route, over that of rolling it without a stop: there will be others."""
 
 
 class Aim(NamedTuple):
@@ -157,7 +156,7 @@ class Guide:
         if not failed:
             length = self.route.length(place) - self.route.length(chosen)
             detour = max(1e-3, length - float(np.linalg.norm(chosen - place)))
-        aims = [self._aim_at(chosen, detour)]
+        aims = [self._aim_at(chosen, detour)._replace(share=0.5)]
         if self.route.length(place) <= near:
             aims.insert(0, Aim(situation, self.detour(), share=0.5))
         return Guidance(aims)
@@ -205,7 +204,7 @@ class Guide:
         speed = SteadyRolling.of(situation.constants, solver.robot.max_rotor_speed).speed
 
         def cost(line: Plan) -> float:
-            return line.duration + _REST_TIME_RATIO * route.length(_end_of(line)) / speed
+            return line.duration + UNPLANNED_RATIO * route.length(_end_of(line)) / speed
 
         on = filter(self.leads_on, _lines(situation, solver, targets))
         return min(on, key=cost, default=None)
@@ -297,14 +296,6 @@ def _away(situation: Situation, place: Vector) -> Vector:
     found = np.nan_to_num(situation.floor.distances(place + step))
     slope: Vector = found[:2] - found[2:]
     return slope / max(float(np.linalg.norm(slope)), 1e-12)
-
-
-def joined(holds: list[FirstOrderHold]) -> FirstOrderHold:
-    """Return holds from rest to rest, each from time 0 on, one after the other."""
-    whole = holds[0]
-    for hold in holds[1:]:
-        whole = whole.followed_by(hold.delayed(whole.end))
-    return whole
 
 
 def with_lines(

@@ -31,7 +31,6 @@ _INTERVALS = (4, 8)
 """Range of the number of intervals of random speeds; the end is excluded."""
 _NEVER = 1e9
 """Time of a switch that does not take place [s]."""
-_AT_REST: Vector = np.zeros(INPUT_SIZE)
 
 
 class Guess(NamedTuple):
@@ -104,7 +103,8 @@ def meeting_guesses(
     # A goal that moves counts as where it is after a guess of the mean duration.
     mean, goal = 0.5 * sum(durations), situation.goal
     ends = goal.orientation.draw(rng, goal.at(situation.time + mean), count)
-    back = half_motions(ends, _AT_REST, signals, levels, drives, constants)
+    at_end: Vector = -np.array(situation.course.legs[situation.leg].speeds)
+    back = half_motions(ends, at_end, signals, levels, drives, constants)
     forth = without_collisions(situation, forth)
     back = without_collisions(situation, back, left_out)
     found = meet(
@@ -114,7 +114,7 @@ def meeting_guesses(
     best = np.flatnonzero(np.isfinite(found.scores))
     best = best[np.argsort(found.scores[best], kind="stable")[:wanted]]
     partners = found.partners[best]
-    begin = np.repeat((in_force, _AT_REST), best.size, axis=0).T
+    begin = np.repeat((in_force, at_end), best.size, axis=0).T
     both = knots_of(signals[:, np.concatenate((best, partners))], levels, begin, drives)
     from_start, from_goal = both[:, :, : best.size], -both[:, :, best.size :]
     guesses = []

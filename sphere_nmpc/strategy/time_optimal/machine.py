@@ -33,7 +33,8 @@ from sphere_nmpc.strategy.in_force import InForce
 from sphere_nmpc.strategy.plan import PlanStatus
 from sphere_nmpc.strategy.rest import stop
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
-from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch, later
+from sphere_nmpc.strategy.time_optimal.background import BackgroundSearch
+from sphere_nmpc.strategy.time_optimal.chain import later
 from sphere_nmpc.strategy.time_optimal.following import (
     at_its_end,
     leads_to,
@@ -240,7 +241,8 @@ class Machine:
         else:
             solver = self._solver_of(after)
             start = start.aimed_at(start.aim(after.plan.leg.goal.pose))
-            known, spared = left_of(after.plan, start.time, solver.grid), after.plan.spared
+            spared = after.plan.spared
+            known = replace(after.plan, hold=left_of(after.plan, start.time, solver.grid))
         search.improved_at = situation.time
         search.begin(
             start, solver, deadline, start.state[POSITION], from_rest=True, known=known,
@@ -274,14 +276,16 @@ class Machine:
             self._found(situation, dead_band, deadline)
             return followed
         is_passed = plan.leg.end is LegEnd.THROUGH
-        anew = is_passed or not suits
-        if not anew and (now <= search.next_at or self._is_improved(followed, now)):
+        waits = suits and not is_passed
+        if waits and (now <= search.next_at or self._is_improved(followed, now)):
             return followed
         solver, known = self._solver_of(followed), None
         start = later(situation, plan.hold, search.begins(now), solver.grid.fine)
-        if not anew:
+        if suits:
+            known = replace(plan, hold=left_of(plan, start.time, solver.grid))
+        if waits:
             pose = nearer_sign(start.goal.pose, plan.leg.goal.pose)
-            start, known = start.aimed_at(start.aim(pose)), left_of(plan, start.time, solver.grid)
+            start = start.aimed_at(start.aim(pose))
         rested = followed.rested if suits else None
         search.improved_at = now
         search.begin(

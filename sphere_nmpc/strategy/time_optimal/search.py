@@ -94,7 +94,8 @@ class ArrivalSearch:
         if situation.has_small_momentum and (has_turns or not detour):
             self._aim_near(known)
         self._least = self._rolling_time(self._near) + detour / self._rolling.speed
-        self._least += robot.ramp_time
+        end_speeds = situation.course.legs[situation.leg].speeds
+        self._least += robot.ramp_time * (1.0 - max(map(abs, end_speeds)) / self._drives.limit)
         self._reached = _REACHED_ERROR
         if situation.has_small_momentum:  # otherwise the sphere leaves the goal by itself
             error = state_error(situation.state, situation.goal.pose)

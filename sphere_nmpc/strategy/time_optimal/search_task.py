@@ -7,15 +7,17 @@ import time
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from sphere_nmpc.model.course import LegEnd
-from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import Vector
+from sphere_nmpc.model.state import POSITION, Vector
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.chain import extended, later, replanned
 from sphere_nmpc.strategy.time_optimal.guide import Guide, with_lines
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
@@ -25,6 +27,12 @@ from sphere_nmpc.worker.contract import Store
 
 _SEARCH_SHARE = 0.75
 """Share of the wall time of a search after which the motors are spared with what it has found."""
+_LONGEST_PART, _SHORTEST_PART = 8.75, 0.4
+"""Duration of the parts of a plan that are searched for anew [1 / (c1 u_max)], and least share of
+it. A shorter plan is searched for as a whole, by a round: where commands are late, more of
+them would change the last manoeuvre at each sample."""
+_PARTS_SHARE = 0.5
+"""Share of the effort of a search for which parts of a chain are searched for."""
 
 
 @lru_cache(maxsize=8)
@@ -53,7 +61,7 @@ class SearchTask:
         Wall time at which the search stops [s].
     from_rest : bool
         Whether the sphere rests until the plan begins, which may then be at any time.
-    known : FirstOrderHold or None
+    known : Plan or None
         Rest of the plan that is being followed to the same goal, from time 0 on: an earlier
         arrival is searched for. None for a new plan.
     failed : int
@@ -79,7 +87,7 @@ class SearchTask:
     effort: int
     longest: float
     from_rest: bool = False
-    known: FirstOrderHold | None = None
+    known: Plan | None = None
     failed: int = 0
     rested: Vector | None = None
     is_next: bool = False
@@ -98,21 +106,26 @@ class SearchTask:
         It is another one than that which is known. Without one it is why there is none wherever
         one searches; empty where that is not so.
         """
-        began, situation = time.perf_counter(), self.situation
+        began = time.perf_counter()
         is_paced = self.margin > 0.0 or self.spared > 0.0 or self.asked > -math.inf
         end = began + (_SEARCH_SHARE if is_paced else 1.0) * self.longest
-        guide = Guide(situation, self.solver, self.rested)
-        if self.known is None:
-            found = self._new(situation, guide, end)
-        else:
-            found = self._earlier(situation, guide, self.known, end)
+        found = self._new(end) if self.known is None else self._earlier(self.known, end)
         if not isinstance(found, Plan):
             return found or ""
         if is_paced and found.leg.end is LegEnd.REST:
-            found = self._paced(situation, found, began + self.longest)
+            found = self._paced(self.situation, found, began + self.longest)
         return replace(found, made=replace(found.made, motion=self.seed))
 
-    def _new(self, situation: Situation, guide: Guide, end: float) -> Plan | str | None:
+    @property
+    def _longest_part(self) -> float:
+        return _LONGEST_PART * self.solver.grid.unit
+
+    @property
+    def _guide(self) -> Guide:
+        return Guide(self.situation, self.solver, self.rested)
+
+    def _new(self, end: float) -> Plan | str | None:
+        situation, guide = self.situation, self._guide
         guidance = guide.guidance(self.failed)
         if guidance.reason:
             return guidance.reason
@@ -131,26 +144,64 @@ class SearchTask:
             return None if line is None else guide.on_the_way(line)
         return found
 
-    def _earlier(
-        self, situation: Situation, guide: Guide, known: FirstOrderHold, end: float
-    ) -> Plan | None:
-        """Return a plan with an earlier arrival than the one that is known; None without one."""
-        solver, goal = self.solver, situation.goal
-        start = solver.solve(situation, goal, known, budget=self.longest, kept=True)
-        if start.error > self.tuning.arrival_error:
+    def _earlier(self, known: Plan, end: float) -> Plan | str | None:
+        """Return a plan that is better than the one that is known; None without one."""
+        situation, solver = self.situation, self.solver
+        is_passed = known.leg.end is LegEnd.THROUGH
+        goal = known.leg.goal if is_passed else situation.goal
+        start = solver.solve(situation, goal, known.hold, budget=self.longest, kept=True)
+        start = replace(start, leg=replace(known.leg, goal=start.leg.goal))
+        is_kept = start.error <= self.tuning.arrival_error
+        in_parts = not (situation.floor.is_empty or situation.goal.rate.any())
+        in_parts &= situation.has_small_momentum
+        if is_passed and not (in_parts and is_kept):
+            return self._new(end)
+        if not is_kept:
             return None
-        search = ArrivalSearch(solver, situation, self.seed, start, guide.detour())
-        found = search.improve_once(end)
-        if found is start or found is None or found.duration + self.spared >= start.duration:
-            return None
-        return found
+        in_parts &= start.duration > self._longest_part and not (start.made.turns or self.spared)
+        if in_parts or is_passed:
+            best = self._in_parts(start, end)
+        else:
+            search = ArrivalSearch(solver, situation, self.seed, start, self._guide.detour())
+            best = search.improve_once(end) or start
+        return best if best.cost + self.spared < start.cost else None
+
+    def _in_parts(self, plan: Plan, end: float) -> Plan:
+        """Return a plan that leads on from a state of the given one, and of which parts are new.
+
+        It is the given one where that is the best.
+        """
+        situation, solver = self.situation, self.solver
+        rng, work = np.random.default_rng(self.seed), 0
+        if plan.leg.end is LegEnd.THROUGH:
+            begin = max(0.0, plan.hold.end - self._longest_part * rng.random())
+            there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
+            rested = situation.state[POSITION] if self.rested is None else self.rested
+            from_rest = self.from_rest and not begin > 0.0
+            task = replace(self, situation=there, failed=0, from_rest=from_rest, rested=rested)
+            further = task._new(end)
+            if isinstance(further, Plan):
+                plan = _better(plan, extended(situation, plan, begin, further, solver))
+        while plan.hold.end > self._longest_part and work < _PARTS_SHARE * self.effort:
+            if time.perf_counter() > end:
+                break
+            times, length = plan.hold.times, self._longest_part * rng.uniform(_SHORTEST_PART, 1.0)
+            begin = rng.uniform(-0.5 * length, plan.hold.end - 0.5 * length)
+            begin = min(max(0.0, begin), plan.hold.end - length)
+            begin, until = (
+                float(times[np.argmin(np.abs(times - each))]) for each in (begin, begin + length)
+            )
+            seed = int(rng.integers(2**31))
+            whole, spent = replanned(situation, plan, begin, until, solver, seed, end)
+            plan, work = _better(plan, whole), work + spent
+        return plan
 
     def _paced(self, situation: Situation, found: Plan, end: float) -> Plan:
         """Return a plan that spares the motors near the one found; without one that itself."""
         margin, longer = self.margin, 0.0
         if self.asked > -math.inf:
             margin, longer = 0.0, max(0.0, self.asked - found.end)
-        elif self.known is not None:
+        elif self.known is not None and self.known.leg.end is LegEnd.REST:
             margin, longer = 0.0, self.spared
         slower = slowed(found.hold, found.made.turns > 0, margin, longer)
         spared = slower.end - found.end
@@ -168,3 +219,8 @@ class SearchTask:
         aimed = situation.aimed_at(Goal(lines[0]))
         found = ArrivalSearch(self.solver, aimed, self.seed).improve(self.effort, end)
         return None if found is None else with_lines(situation, found, lines[1])
+
+
+def _better(plan: Plan, other: Plan | None) -> Plan:
+    """Return another plan where there is one and it costs less."""
+    return plan if other is None or other.cost >= plan.cost else other

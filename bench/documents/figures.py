@@ -24,6 +24,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -203,11 +204,18 @@ def paths(measured: dict[str, Any]) -> Figure:
 
 
 def worlds(measured: dict[str, Any]) -> Figure:
-    """Return the paths of the first dozen runs in the file of bench/floor_worlds.py, by seed."""
+    """Return the paths of the first dozen runs in the file of bench/floor_worlds.py, by seed.
+
+    Of several runs in a world the last one is blue, and those before are grey.
+    """
     runs = [run for row in measured["rows"] for run in row["runs"]]
+    runs.sort(key=lambda run: (run["seed"], run["kind"]))  # stable
     figure = Figure(figsize=(12.0, 9.0), layout="constrained")
     places = figure.subplots(3, 4).ravel()
-    for axes, run in zip(places, sorted(runs, key=lambda run: run["seed"]), strict=False):
+    groups = [list(each) for _, each in groupby(runs, key=lambda run: (run["kind"], run["seed"]))]
+    for axes, (*before, run) in zip(places, groups, strict=False):
+        for other in before:
+            axes.plot(*np.transpose(other["path"]), color="0.6", linewidth=1.0)
         for x0, y0, x1, y1 in run["walls"]:
             axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color="0.35", lw=0))
         for x, y, radius in run["discs"]:
@@ -219,9 +227,10 @@ def worlds(measured: dict[str, Any]) -> Figure:
         axes.plot(*path[0], "o", color="tab:green", markersize=4)
         axes.plot(*run["goal"][:2], "*", color=VERMILION, markersize=7)
         axes.set(xlim=(0, SIDE), ylim=(0, SIDE), aspect="equal", xticks=[], yticks=[])
-        axes.set_title(f"{run['kind']} {run['seed']}")
+        times = [f"{one['settled']:.1f} s" for one in (*before, run)]
+        axes.set_title(f"{run['kind']} {run['seed']}: {', '.join(times)}")
         axes.spines[:].set_visible(True)
-    for axes in places[len(runs) :]:
+    for axes in places[len(groups) :]:
         axes.set_axis_off()
     return figure
 

@@ -319,14 +319,15 @@ def test_a_goal_in_an_area_is_not_reached_though_the_sphere_is_there(strategy: s
 def test_a_command_that_begins_late_is_certified_as_it_is_sent() -> None:
     """Each is sent 0.1 s late: what it leads to keeps clear from the state in which it begins."""
     loop = rolling(delay=0.1)
-    least, floor, errors = math.inf, loop.controller.floor, list[float]()
-    for _ in range(60):
+    least, floor = math.inf, loop.controller.floor
+    for _ in range(160):  # a last ramp that is sent late may end beside the goal
         loop.sample()
         least = min(least, least_distance(floor, loop.path()[::5, POSITION]))
         loop.advance(loop.settings.control_period - loop.delay)
-        errors.append(loop.error())
+        if loop.error() < 1e-2:
+            break
     assert least >= floor.needed - 1e-4
-    assert min(errors) < 0.1  # a last ramp that is sent late may end beside the goal
+    assert loop.error() < 1e-2
 
 
 def test_parts_of_a_way_lead_on_from_where_the_sphere_has_last_rested() -> None:

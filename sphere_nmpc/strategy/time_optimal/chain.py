@@ -22,8 +22,8 @@ from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 
-_NO_SHORT_CUT = 1e-3
-"""Detour of a part [m]: what is in its way is not known."""
+LEAST_DETOUR = 1e-3
+"""Detour [m] of a motion whose end may be out of sight."""
 
 
 def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:
@@ -56,10 +56,17 @@ def joined(holds: Sequence[FirstOrderHold]) -> FirstOrderHold:
 def extended(
     situation: Situation, plan: Plan, begin: float, further: Plan, solver: ArrivalSolver
 ) -> Plan | None:
-    """Return a plan up to `begin` [s], and from there on another one; None if it is not clear."""
-    if not begin > 0.0:
-        return further
-    return _joined(situation, further, [plan.hold.until(begin), further.hold], solver)
+    """Return a plan up to `begin` [s], and from there on another one; None if it is not clear.
+
+    It is solved as a whole, which removes the error where they meet.
+    """
+    before = [plan.hold.until(begin)] if begin > 0.0 else []
+    hold = solver.grid.thinned(joined([*before, further.hold]))
+    found = solver.solve(situation, further.leg.goal, hold, kept=True)
+    is_there = found.error <= solver.settings.arrival_error
+    if not (is_there and is_clear(situation, found.hold, Margin.KEPT)):
+        return None
+    return replace(found, leg=replace(further.leg, goal=found.leg.goal))
 
 
 def replanned(
@@ -94,27 +101,15 @@ def replanned(
     start, rest = later(situation, hold, begin, grid.fine), []
     leg = replace(plan.leg, goal=replace(plan.leg.goal, since=0.0))
     if until < hold.end:
-        there = later(situation, hold, until, grid.fine)
+        there = later(start, hold, until, grid.fine)
         leg = Leg(Goal(there.state[POSE]), speeds=tuple(there.speeds.tolist()))
         rest = [there.in_force.delayed(-until)]
     aimed = replace(start, course=Course((leg,)), leg=0).from_zero()
     part = hold.until(until).starting_at(begin, hold.at(begin)).delayed(-begin)
     known = rolled_out(replace(plan, leg=leg), aimed, grid.thinned(part))
-    search = ArrivalSearch(solver, aimed, seed, known, _NO_SHORT_CUT)
+    search = ArrivalSearch(solver, aimed, seed, known, LEAST_DETOUR)
     found = search.improve_once(deadline)
     if found is None or found is known:
         return None, search.work
-    before = [hold.until(begin)] if begin > 0.0 else []
-    return _joined(situation, plan, [*before, found.hold, *rest], solver), search.work
-
-
-def _joined(
-    situation: Situation, plan: Plan, holds: list[FirstOrderHold], solver: ArrivalSolver
-) -> Plan | None:
-    """Return holds one after the other as one plan to the end of another; None if not clear."""
-    hold = solver.grid.thinned(joined(holds))
-    found = solver.solve(situation, plan.leg.goal, hold, kept=True)
-    is_there = found.error <= solver.settings.arrival_error
-    if not (is_there and is_clear(situation, found.hold, Margin.KEPT)):
-        return None
-    return replace(found, leg=replace(plan.leg, goal=found.leg.goal))
+    further = replace(plan, hold=joined([found.hold, *rest]))
+    return extended(situation, plan, begin, further, solver), search.work

@@ -28,7 +28,7 @@ from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import UNPLANNED_RATIO, Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
-from sphere_nmpc.strategy.time_optimal.chain import joined
+from sphere_nmpc.strategy.time_optimal.chain import LEAST_DETOUR, joined
 from sphere_nmpc.strategy.time_optimal.lines import gone_back, line_hold
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -155,18 +155,19 @@ class Guide:
         detour = 0.0
         if not failed:
             length = self.route.length(place) - self.route.length(chosen)
-            detour = max(1e-3, length - float(np.linalg.norm(chosen - place)))
-        aims = [self._aim_at(chosen, detour)._replace(share=0.5)]
+            detour = max(LEAST_DETOUR, length - float(np.linalg.norm(chosen - place)))
+        # As much as the goal itself is worth: the sphere moves soon, and is led on from there.
+        aims = [self._aim_at(chosen, detour, share=0.5)]
         if self.route.length(place) <= near:
             aims.insert(0, Aim(situation, self.detour(), share=0.5))
         return Guidance(aims)
 
-    def _aim_at(self, place: Vector, detour: float = 0.0) -> Aim:
+    def _aim_at(self, place: Vector, detour: float = 0.0, share: float = 1.0) -> Aim:
         situation = self._situation
         pose = np.concatenate((place, situation.goal.pose[QUATERNION]))
         leg = Leg(Goal(pose, Orientation.ANY, since=situation.time), LegEnd.THROUGH)
         course = situation.course.by_way_of(situation.leg, leg)
-        return Aim(replace(situation, course=course), detour)
+        return Aim(replace(situation, course=course), detour, share)
 
     def detour(self) -> float:
         """Return by how much the way to the goal is longer than the line [m]; 0 in sight."""
@@ -174,7 +175,7 @@ class Guide:
         needed = needed_distance(situation, Margin.KEPT)
         if in_sight(situation.floor, place, goal[None, :], needed)[0]:
             return 0.0
-        return max(1e-3, self.route.length(place) - float(np.linalg.norm(goal - place)))
+        return max(LEAST_DETOUR, self.route.length(place) - float(np.linalg.norm(goal - place)))
 
     def leads_on(self, plan: Plan) -> bool:
         """Return whether a plan leads on from where the sphere has last rested."""

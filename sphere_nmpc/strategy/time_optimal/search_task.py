@@ -180,8 +180,10 @@ class SearchTask:
             from_rest = self.from_rest and not begin > 0.0
             task = replace(self, situation=there, failed=0, from_rest=from_rest, rested=rested)
             further = task._new(end)
-            if isinstance(further, Plan):
+            if isinstance(further, Plan) and begin > 0.0:
                 plan = _better(plan, extended(situation, plan, begin, further, solver))
+            elif isinstance(further, Plan):
+                plan = _better(plan, further)
         while plan.hold.end > self._longest_part and work < _PARTS_SHARE * self.effort:
             if time.perf_counter() > end:
                 break

@@ -8,6 +8,7 @@ CasADi expressions.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ def logarithm(q: Vector) -> Vector:
     return np.array((factor * x, factor * y, factor * z))
 
 
-def matrix(q: Vector) -> Vector:
+def matrix(q: Vector | Sequence[float]) -> Vector:
     """Return the matrix, shape (3, 3), that takes body vectors to world ones (Eq. 1)."""
     w, x, y, z = q
     return np.array((

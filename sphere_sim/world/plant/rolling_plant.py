@@ -142,27 +142,29 @@ class RollingPlant(Plant):
         """Motor torques over the last step [N m], shape (2,) (Eq. 45)."""
         if not any(self._acceleration) and self._is_equilibrium:
             return np.zeros(2)  # as in `advance`: most rows of a study are at rest
-        turn, up = matrix(self.state[2:]), np.array([0.0, 0.0, 1.0])
-        rate = np.array(self._world_rate(self._y, *self._speeds))
-        inertia = turn @ np.diag(self._inertia) @ turn.T
-        pull, c = self._mass * self._radius, turn @ np.array(self._offset)
-        # The balance differentiated once: all that is fixed to the body turns at omega.
-        spin = turn[:, :2] @ self._speeds
-        turning = inertia @ rate + self._rotor_inertia * spin
-        drifting = np.cross(rate, c)
-        change = (
-            np.array(self.rate(self._y, *self._speeds)[6:])
-            - self._rotor_inertia * (turn[:, :2] @ self._acceleration)
-            - np.cross(rate, turning)
-            - pull * (2.0 * drifting[2] * rate - drifting * rate[2] - up * (drifting @ rate))
+        y, (u1, u2), (a1, a2) = self._y, self._speeds, self._acceleration
+        # The balance differentiated once, written out; all that is fixed to the body turns at o.
+        o1, o2, o3 = self._world_rate(y, u1, u2)
+        h1, h2, h3 = self.rate(y, u1, u2)[6:]
+        c1, c2, c3 = self._centre(y)
+        (x1, y1, _), (x2, y2, _), (x3, y3, _) = matrix(y[2:6]).tolist()
+        inertia, radius, pull = self._rotor_inertia, self._radius, self._mass * self._radius
+        t1, t2, t3 = o2 * c3 - o3 * c2, o3 * c1 - o1 * c3, o1 * c2 - o2 * c1
+        level, along = radius + 2.0 * c3, c1 * o1 + c2 * o2 + (c3 + radius) * o3
+        # The momentum of all bodies about the centre of the sphere, rotors included.
+        m1 = y[6] - pull * (level * o1 - c1 * o3)
+        m2 = y[7] - pull * (level * o2 - c2 * o3)
+        m3 = y[8] - pull * (level * o3 - c3 * o3 - along)
+        p1, p2, p3 = self._solved(
+            y,
+            h1 - inertia * (x1 * a1 + y1 * a2) - (o2 * m3 - o3 * m2)
+            - pull * (2.0 * t3 * o1 - t1 * o3),
+            h2 - inertia * (x2 * a1 + y2 * a2) - (o3 * m1 - o1 * m3)
+            - pull * (2.0 * t3 * o2 - t2 * o3),
+            h3 - inertia * (x3 * a1 + y3 * a2) - (o1 * m2 - o2 * m1) - pull * t3 * o3,
         )
-        about_contact = inertia + pull * (
-            (self._radius + 2.0 * c[2]) * np.eye(3) - np.outer(c, up) - np.outer(up, c)
-            - self._radius * np.outer(up, up)
-        )
-        shell = turn.T @ np.linalg.solve(about_contact, change)
-        torques: Vector = self._rotor_inertia * (shell[:2] + self._acceleration)
-        return torques
+        shell = x1 * p1 + x2 * p2 + x3 * p3, y1 * p1 + y2 * p2 + y3 * p3
+        return np.array((inertia * (shell[0] + a1), inertia * (shell[1] + a2)))
 
     @property
     def _is_equilibrium(self) -> bool:
@@ -240,9 +242,20 @@ class RollingPlant(Plant):
         ww, xx, yy, zz = w * w, x * x, q3 * q3, z * z
         xy, xz, yz, wx, wy, wz = x * q3, x * z, q3 * z, w * x, w * q3, w * z
         s1, s2 = self._rotor_inertia * u1, self._rotor_inertia * u2
-        p1 = h1 - (ww + xx - yy - zz) * s1 - 2.0 * (xy - wz) * s2
-        p2 = h2 - 2.0 * (xy + wz) * s1 - (ww - xx + yy - zz) * s2
-        p3 = h3 - 2.0 * (xz - wy) * s1 - 2.0 * (yz + wx) * s2
+        return self._solved(
+            y,
+            h1 - (ww + xx - yy - zz) * s1 - 2.0 * (xy - wz) * s2,
+            h2 - 2.0 * (xy + wz) * s1 - (ww - xx + yy - zz) * s2,
+            h3 - 2.0 * (xz - wy) * s1 - 2.0 * (yz + wx) * s2,
+        )
+
+    def _solved(
+        self, y: _Numbers, p1: float, p2: float, p3: float
+    ) -> tuple[float, float, float]:
+        """Return the product of the inverse inertia about the contact point with p."""
+        _, _, w, x, q3, z, _, _, _ = y
+        ww, xx, yy, zz = w * w, x * x, q3 * q3, z * z
+        xz, yz, wx, wy = x * z, q3 * z, w * x, w * q3
         # J = j 1 + (j3 - j) z z^T: both rotors and their counterweights are alike.
         z1, z2, z3 = 2.0 * (xz + wy), 2.0 * (yz - wx), ww - xx - yy + zz
         j, _, j3 = self._inertia

@@ -9,6 +9,7 @@ variables are the errors of the knots (10 each), then of the common unknowns (9)
 
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from sphere_nmpc.estimation.hypotheses import (
     noise_variance,
     step_covariances,
 )
-from sphere_nmpc.estimation.motion import Motion
+from sphere_nmpc.estimation.motion import Motion, motion
 from sphere_nmpc.estimation.posterior import (
     COMMON,
     KNOT,
@@ -36,6 +37,8 @@ from sphere_nmpc.model.state import MOMENTUM, POSE, Vector
 
 _PRIOR_ERRORS = 10.0
 """Number of errors that what was known of the noise's scale before weighs as much as."""
+LINEAR_RANGE = 3e-3
+"""Change, in the scale of the unknowns, up to which a linearisation is kept."""
 _BLOCK = 2 * KNOT + COMMON
 _NEXT, _MEASURED = slice(KNOT, 2 * KNOT), slice(KNOT, KNOT + 5)
 _OWN = np.r_[0:KNOT, 2 * KNOT : _BLOCK]
@@ -108,6 +111,8 @@ class Point:
 class Linearisation:
     """What the normal equations of all hypotheses share at a point.
 
+    Intervals are linearised again where the point has left the range of their linearisation.
+
     Each interval has a row of blocks for the step at its end, with derivatives by the knots at
     both of its ends and the common unknowns, (10, 29). Measured poses have the deviations
     `pose_deviations`, shape (5,) [m, rad], and beside them a noise; `scale` is that of the noise's
@@ -125,19 +130,24 @@ class Linearisation:
         scaling: Scaling,
     ) -> None:
         count = len(motions)
-        self.scaling, self.motions = scaling, motions
+        self.scaling, self.motions, self._aways = scaling, list(motions), np.empty((count, LOCAL))
         self._pose_deviations = pose_deviations
-        self.durations = np.array([one.interval.duration for one in motions])
-        self.variances = np.array([noise_variance(m.turned, scaling.numbers) for m in motions])
         self.point, self.common, self.scale = point, point.common, scale
         self.jacobians = np.zeros((count, KNOT, _BLOCK))
         self.jacobians[:, :, _NEXT] = np.eye(KNOT)
         self.residuals, self.innovations = np.empty((count, KNOT)), np.empty((count, 5))
         for k, moved in enumerate(motions):
-            end, away = point.knots[k + 1], away_from(moved, point, k)
+            away = away_from(moved, point, k)
+            if float(np.max(np.abs(away) / scaling.units)) > LINEAR_RANGE:
+                moved = motion(moved.interval, point.knots[k], point.common, scaling)
+                away = np.zeros(LOCAL)
+            end, self._aways[k], self.motions[k] = point.knots[k + 1], away, moved
             self.jacobians[k][:, _OWN] = -moved.by_unknowns
             self.residuals[k] = knot_error(moved.end, end) - moved.by_unknowns @ away
             self.innovations[k] = error_between(end[POSE], moved.interval.poses[-1])
+        numbers = scaling.numbers
+        self.durations = np.array([one.interval.duration for one in motions])
+        self.variances = np.array([noise_variance(m.turned, numbers) for m in self.motions])
         self._believe(prior, noise)
 
     def believing(self, prior: Prior, noise: PoseNoise) -> "Linearisation":
@@ -151,22 +161,18 @@ class Linearisation:
         self.by_prior = prior.information @ away + prior.gradient
         self.cost = float(away @ (self.by_prior + prior.gradient))
         self.cost -= float(np.linalg.slogdet(prior.information)[1])
-        covariances = [
-            self.scaling.pose_covariance(noise, self._pose_deviations, one.rates)
-            for one in self.motions
-        ]
-        at_end = np.array([one[-1] for one in covariances])
+        given, rates = self._pose_deviations, np.array([one.rates[-1] for one in self.motions])
+        at_end = self.scaling.pose_covariance(noise, given, rates)
         self.cost += float(np.sum(np.linalg.slogdet(at_end)[1]))
-        self.pose_weights: Vector = np.linalg.inv(at_end)
+        self.pose_weights: Vector = np.asarray(np.linalg.inv(at_end), dtype=float)
         """Inverse covariances of the poses at the ends of the intervals, (n, 5, 5)."""
         self.within: dict[int, tuple[Vector, Vector, float]] = {}
         """Information (19, 19), gradient (19,) and cost of the poses within an interval."""
         for k, moved in enumerate(self.motions):
             if len(moved.innovations):
                 shared = len(moved.innovations) * self.scale * self.variances[k]
-                away = away_from(moved, self.point, k)
-                within = covariances[k][1:-1] + shared * np.eye(5)
-                self.within[k] = _poses_within(moved, away, within)
+                within = self.scaling.pose_covariance(noise, given, moved.rates[1:-1])
+                self.within[k] = _poses_within(moved, self._aways[k], within + shared * np.eye(5))
 
 
 def away_from(known: Prior | Motion, point: Point, index: int) -> Vector:
@@ -176,14 +182,14 @@ def away_from(known: Prior | Motion, point: Point, index: int) -> Vector:
 
 
 def _poses_within(
-    motion: Motion, away: Vector, covariances: Vector
+    moved: Motion, away: Vector, covariances: Vector
 ) -> tuple[Vector, Vector, float]:
     """Return information, gradient and cost of the poses within an interval.
 
     Their `covariances` have shape (M, 5, 5). They share the error of the prediction: each of M
     counts as if that were sqrt(M) as large.
     """
-    innovations, by = motion.innovations - motion.by_pose @ away, motion.by_pose
+    innovations, by = moved.innovations - moved.by_pose @ away, moved.by_pose
     weights: Vector = np.asarray(np.linalg.inv(covariances), dtype=float)
     weighted, by = (weights @ by).reshape(-1, LOCAL), by.reshape(-1, LOCAL)
     information: Vector = weighted.T @ by
@@ -195,6 +201,19 @@ def _poses_within(
 def _squares(weights: Vector, errors: Vector) -> float:
     """Return the sum of the squares of errors, shape (n, 5), with weights (n, 5, 5)."""
     return float(np.einsum("ki,kij,kj->", errors, weights, errors))
+
+
+@lru_cache(maxsize=16)
+def _places(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the decision variables of `count` rows of blocks, shape (29 n,).
+
+    The second array, shape (841 n,), has the places of their products in the information.
+    """
+    size = KNOT * (count + 1) + COMMON
+    knots = KNOT * np.arange(count)[:, None] + np.arange(2 * KNOT)
+    common = np.tile(np.arange(size - COMMON, size), (count, 1))
+    within = np.hstack((knots, common))
+    return within.ravel(), (size * within[:, :, None] + within[:, None, :]).ravel()
 
 
 class NormalEquations:
@@ -237,11 +256,14 @@ class NormalEquations:
                 gradients[k][_OWN] += gradient
                 cost += more
         size = KNOT * (count + 1) + COMMON
-        self.information: Vector = np.zeros((size, size))
-        self.gradient: Vector = np.zeros(size)
-        self._add(0, KNOT, given.prior.information, given.by_prior)
-        for k in range(count):
-            self._add(KNOT * k, 2 * KNOT, blocks[k], gradients[k])
+        within, entries = _places(count)
+        sums = np.bincount(entries, blocks.ravel(), size * size)
+        self.information: Vector = np.asarray(sums, dtype=float).reshape(size, size)
+        sums = np.bincount(within, gradients.ravel(), size)
+        self.gradient: Vector = np.asarray(sums, dtype=float)
+        first = np.r_[0:KNOT, size - COMMON : size]
+        self.information[np.ix_(first, first)] += given.prior.information
+        self.gradient[first] += given.by_prior
         # The prior is for any imbalance and drives.
         fixed, away = hypothesis.fixed, given.common - NORMAL
         places = np.flatnonzero(fixed) + size - COMMON
@@ -252,7 +274,7 @@ class NormalEquations:
         # SciPy's triangular solver is faster, but its import takes as long as all others here.
         self.step: Vector = np.asarray(np.linalg.solve(self.information, -self.gradient))
         """Gauss-Newton step of the decision variables, shape (10 n + 19,)."""
-        self._keep_range(given)
+        self._keep_range(given, fixed)
         self._factor: Vector = np.asarray(np.linalg.cholesky(self.information))
         known = 2.0 * float(np.sum(np.log(np.diag(self._factor))))
         change = 2.0 * self.gradient + self.information @ self.step
@@ -268,11 +290,14 @@ class NormalEquations:
         self.noise: Vector = deviations[:, None] * self.whitened[:, POSE_ERROR]
         """Errors of predicted poses in these steps [m, rad], shape (n, 5), but by the drives."""
 
-    def _keep_range(self, given: Linearisation) -> None:
-        """Change the step so that common unknowns which would leave their range end at its end."""
+    def _keep_range(self, given: Linearisation, fixed: NDArray[np.bool_]) -> None:
+        """Change the step so that common unknowns which would leave their range end at its end.
+
+        Those that are `fixed` differ from their values by rounding.
+        """
         wanted = given.common + self.step[-COMMON:]
         kept = given.scaling.within(wanted)
-        beyond = np.flatnonzero(kept != wanted)
+        beyond = np.flatnonzero((kept != wanted) & ~fixed)
         if not beyond.size:
             return
         places = self.step.size - COMMON + beyond
@@ -281,16 +306,6 @@ class NormalEquations:
         forced = self.gradient + self.information[:, places] @ self.step[places]
         inner = self.information[np.ix_(free, free)]
         self.step[free] = np.linalg.solve(inner, -forced[free])
-
-    def _add(self, begin: int, width: int, information: Vector, gradient: Vector) -> None:
-        """Add information and gradient of `width` unknowns of knots, and of the common ones."""
-        knots, common = slice(begin, begin + width), slice(-COMMON, None)
-        self.information[knots, knots] += information[:width, :width]
-        self.information[knots, common] += information[:width, width:]
-        self.information[common, knots] += information[width:, :width]
-        self.information[common, common] += information[width:, width:]
-        self.gradient[knots] += gradient[:width]
-        self.gradient[common] += gradient[width:]
 
     def next_scale(self) -> float:
         """Return the scale of the noise that the errors after the step show, at least 1."""
@@ -301,10 +316,9 @@ class NormalEquations:
 
     def covariance(self) -> Vector:
         """Return that of the newest knot and the common unknowns, shape (19, 19)."""
-        columns = np.zeros((self.gradient.size, LOCAL))
-        columns[-LOCAL:] = np.eye(LOCAL)
-        # A product with its transpose is never negative, however different the variances are.
-        inverse = np.linalg.solve(self._factor, columns)
+        # The factor is triangular, and these unknowns are the last ones. A product with its
+        # transpose is never negative, however different the variances are.
+        inverse = np.linalg.inv(self._factor[-LOCAL:, -LOCAL:])
         covariance: Vector = inverse.T @ inverse
         return covariance
 

@@ -13,6 +13,7 @@ from itertools import accumulate, product
 from operator import or_
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphere_nmpc.estimation.motion import Motion
 from sphere_nmpc.estimation.posterior import (
@@ -86,7 +87,7 @@ class Hypothesis:
         return found
 
     @property
-    def fixed(self) -> Vector:
+    def fixed(self) -> NDArray[np.bool_]:
         """Which common unknowns have the values `NORMAL`, shape (9,)."""
         return np.array([False] * 5 + [not self.weak] + [not self.unbalanced] * 3)
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sphere_nmpc.estimation.equations import (
+    LINEAR_RANGE,
     Linearisation,
     NormalEquations,
     Point,
     Prior,
-    away_from,
 )
 from sphere_nmpc.estimation.hypotheses import Event, Hypothesis, noise_variance
 from sphere_nmpc.estimation.motion import Interval, Motion, motion
@@ -39,9 +39,6 @@ from sphere_nmpc.model.state import POSE, POSE_SIZE, Vector
 
 _MAX_ITERATIONS = 6
 """Gauss-Newton iterations for each fit at most."""
-_LINEAR_RANGE = 3e-3
-"""Change, in the scale of the unknowns, up to which a linearisation is kept; the iteration ends
-with a step below it."""
 _SCALE_TOLERANCE = 0.05
 """Relative accuracy of the noise's scale."""
 _QUATERNION = np.array([1.0, 1.0, 0.5, 0.5, 0.5])
@@ -192,15 +189,15 @@ class MovingHorizon:
     ) -> _Fit:
         """Return the fit of a hypothesis, from a point with intervals linearised near it."""
         for iteration in range(_MAX_ITERATIONS):
-            motions = self._relinearised(point, motions)
             given = self._linearisation(point, motions, hypothesis, scale)
+            motions = given.motions
             equations = NormalEquations(given, hypothesis, scale, without)
             point = point.moved(equations.step, self._scaling)
-            # At first the errors are those of the linearisation, too.
-            if iteration > 0:
+            is_linear = self._largest(equations.step) < LINEAR_RANGE
+            # After a larger first step the errors are those of the linearisation, too.
+            if iteration > 0 or is_linear:
                 before, scale = scale, equations.next_scale()
-                same = abs(scale / before - 1.0) < _SCALE_TOLERANCE
-                if same and self._largest(equations.step) < _LINEAR_RANGE:
+                if is_linear and abs(scale / before - 1.0) < _SCALE_TOLERANCE:
                     break
         return _Fit(point, motions, equations, scale, hypothesis)
 
@@ -217,16 +214,6 @@ class MovingHorizon:
             point, self._prior_of(hypothesis, motions[0]), motions, scale,
             hypothesis.pose_noise, self._pose_deviations, self._scaling,
         )
-
-    def _relinearised(self, point: Point, motions: list[Motion]) -> list[Motion]:
-        """Return the intervals, linearised again where the point has left their range."""
-        found = []
-        for k, one in enumerate(motions):
-            away = away_from(one, point, k)
-            if float(np.max(np.abs(away) / self._scaling.units)) > _LINEAR_RANGE:
-                one = motion(one.interval, point.knots[k], point.common, self._scaling)
-            found.append(one)
-        return found
 
     def _with_other_drives(
         self, start: Point, motions: list[Motion], fit: _Fit, surprising: bool
@@ -253,18 +240,20 @@ class MovingHorizon:
         With `simpler` events are only taken back, or what shows gradually is found.
         """
         hypothesis, numbers = fit.hypothesis, self._numbers
-        others = hypothesis.alternatives(numbers.recent, self._momentum)
-        if simpler:
+        cost, likely = hypothesis.cost(numbers), []
+        # No event gains more than the square of what is left.
+        if simpler and np.sum(fit.equations.whitened**2) >= numbers.rare:
             # What no single interval shows: another slope, noises of the poses.
             likely = [replace(hypothesis, torques=True), *hypothesis.noises]
-            cost = hypothesis.cost(numbers)
-            if np.sum(fit.equations.whitened**2) < numbers.rare:
-                likely = []  # No event gains more than that.
+        if simpler and not likely and cost == 0.0:
+            return fit  # nothing costs less
+        others = hypothesis.alternatives(numbers.recent, self._momentum)
+        if simpler:
             others = [one for one in others if one[1].cost(numbers) < cost or one[1] in likely]
         if not others:
             return fit
-        motions = self._relinearised(start, motions)
         given = self._linearisation(start, motions, hypothesis, fit.scale)
+        motions = given.motions
         # Where an event is compared with none, poses within its interval are used for neither.
         known: dict[int | None, float] = {}
         best: dict[Event | None, tuple[float, int | None, Hypothesis]] = {}

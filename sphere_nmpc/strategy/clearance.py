@@ -14,7 +14,6 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphere_nmpc.floor.floor import Floor
 from sphere_nmpc.model.disturbance import GRAVITY, is_zero
@@ -110,14 +109,12 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
     if solver is None:
         return plain_certified(situation, hold, needed)
     constants, disturbance = situation.constants, situation.disturbance
-    corners, grid = situation.floor.corner_distances, situation.floor.fine
-    x, y, yaw = grid.origin
+    corners, place = situation.floor.corner_distances, _place_of(situation.floor)
     # Named, so that they live until the call has ended.
     arrays = (
         constants.as_array(), disturbance.as_array(), hold.durations,
         np.ascontiguousarray(hold.speeds), np.ascontiguousarray(situation.state), corners,
     )
-    place = np.array((x, y, math.cos(yaw), math.sin(yaw), grid.resolution))
     spacings = _spacings(situation, hold)
     found: float = solver.hold_clearance(
         hold.times.size - 1, *(array.ctypes.data for array in arrays), *corners.shape,
@@ -125,6 +122,12 @@ def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> floa
         spacings.ctypes.data, spacings.size,
     )
     return found
+
+
+def _place_of(floor: Floor) -> Vector:
+    """Return where the grid of a floor is, as the compiled solver takes it, shape (5,)."""
+    x, y, yaw = floor.fine.origin
+    return np.array((x, y, math.cos(yaw), math.sin(yaw), floor.fine.resolution))
 
 
 def _spacings(situation: Situation, hold: FirstOrderHold) -> Vector:
@@ -250,22 +253,25 @@ def bound_of_speed(situation: Situation) -> float:
     return float(fastest * factor / max(1.0 - 2.0 * beside / least, _MIN_INERTIA_SHARE))
 
 
-def without_collisions(situation: Situation, side: Side, beyond: Vector | None = None) -> Side:
-    """Return half motions that end, for all that they are compared for, before they collide.
+def end_before_collisions(situation: Situation, side: Side, beyond: Vector) -> None:
+    """Let half motions end, for all that they are compared for, before they collide.
 
-    They take place at a displacement `beyond`, shape (2,) [m], if it is given.
+    From there on their places are infinite. They take place at a displacement `beyond`, shape
+    (2,) [m].
     """
-    if situation.floor.is_empty:
-        return side
-    paths: NDArray[np.floating] = side.states[:, :2].transpose(0, 2, 1)
-    if beyond is not None:
-        paths = paths + beyond
-    collided = situation.floor.collided(paths, needed_distance(situation, Margin.FOUND))
-    if not collided.any():
-        return side
-    states = side.states.copy()
-    states[:, :2] = np.where(collided[:, None], np.inf, states[:, :2])
-    return side._replace(states=states)
+    solver, floor, states = library(), situation.floor, side.states
+    if floor.is_empty:
+        return
+    needed = needed_distance(situation, Margin.FOUND)
+    if solver is None:
+        collided = floor.collided(states[:, :2].transpose(0, 2, 1) + beyond, needed)
+        states[:, :2] = np.where(collided[:, None], np.inf, states[:, :2])
+        return
+    corners, place = floor.corner_distances, _place_of(floor)
+    solver.hold_end_before_collisions(
+        states.shape[2], len(states) - 1, beyond.ctypes.data, corners.ctypes.data,
+        *corners.shape, place.ctypes.data, needed, states.ctypes.data,
+    )
 
 
 def stop_before_contact(situation: Situation, hold: FirstOrderHold) -> str:

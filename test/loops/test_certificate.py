@@ -18,12 +18,15 @@ from sphere_nmpc.model.first_order_hold import FirstOrderHold
 from sphere_nmpc.model.parameters import LumpedConstants, RobotParameters
 from sphere_nmpc.model.plant import PlantEstimate
 from sphere_nmpc.model.state import POSITION, QUATERNION, Vector, without_momentum
+from sphere_nmpc.solver.half_motions import Side
 from sphere_nmpc.solver.roll_out import roll_out
+from sphere_nmpc.strategy import clearance
 from sphere_nmpc.strategy.clearance import (
     Margin,
     bound_of_speed,
     certified,
     clearance_of,
+    end_before_collisions,
     needed_distance,
     plain_certified,
     profile_of,
@@ -124,6 +127,26 @@ def test_the_certificate_bounds_the_clearance_of_the_motion() -> None:
         fine, coarse = (profile_of(now, hold, spacing).places for spacing in (0.005, 0.04))
         np.testing.assert_allclose(coarse[-1], fine[-1], atol=1e-6)
     assert 40 < sum(refused) < 160 and bounded > 20
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_half_motions_end_before_they_collide(monkeypatch, yaw: float) -> None:
+    """By the compiled solver as by the plain one, at places inside and outside of the floor."""
+    rng, walls = np.random.default_rng(4), floor_of([(2.0, 2.0, 2.5, 2.3)])
+    floor = Floor(Grid(walls.grid.occupied, 0.05, (0.3, -0.2, yaw)), RADIUS, 0.02)
+    beyond = floor.grid.world(np.array((30.0, 30.0)))
+    assert floor.distance(beyond) > floor.needed
+    here = pose(*beyond)
+    now = Situation.of(0.0, without_momentum(here), here, STILL, ROBOT.lumped, floor=floor)
+    states = np.zeros((12, 6, 500), dtype=np.float32)
+    states[1:, :2] = np.cumsum(rng.normal(scale=0.3, size=(11, 2, 500)), axis=0)
+    found, plain = (Side(pose(0.0, 0.0), states.copy(), *2 * [np.zeros(500)]) for _ in range(2))
+    end_before_collisions(now, found, beyond)
+    monkeypatch.setattr(clearance, "library", lambda: None)
+    end_before_collisions(now, plain, beyond)
+    np.testing.assert_array_equal(found.states, plain.states)
+    ended = np.isinf(found.states[:, 0]).any(axis=0)
+    assert 100 < np.count_nonzero(ended) < 480 and np.isfinite(found.states[0]).all()
 
 
 def on_a_line(distance: float) -> Situation:

@@ -31,6 +31,49 @@ static double distance_at(const floor_corners *f, double x, double y)
     return least;
 }
 
+/* Return the nearest number of 0, 1 ... last; 0 of what is no number. */
+static inline int64_t nearest_of(double value, double last)
+{
+    double whole = rint(value);
+    whole = whole > 0.0 ? whole : 0.0;
+    return (int64_t)(whole < last ? whole : last);
+}
+
+/* Let half motions end before they collide: from there on their places are infinite.
+
+   `states` are those of `hold_half_motions`, which take place at a displacement `beyond` [m];
+   `grid` is as for `hold_clearance`. See `Floor.collided` for the rest. */
+void hold_end_before_collisions(int64_t count, int64_t levels, const double *beyond,
+                                const float *restrict distances, int64_t rows, int64_t columns,
+                                const double *grid, double least, float *restrict states)
+{
+    const double along = grid[2] / grid[4], across = grid[3] / grid[4];
+    const double dx = beyond[0] - grid[0], dy = beyond[1] - grid[1];
+    const double last_column = (double)(columns - 1), last_row = (double)(rows - 1);
+    /* That of the nearest corner; beyond the edge one of the edge, where it is 0. */
+#define DISTANCE(x, y)                                                                             \
+    distances[nearest_of((y) * along - (x) * across, last_row) * columns                           \
+              + nearest_of((x) * along + (y) * across, last_column)]
+    for (int64_t k = 0; k < count; k++)
+        least = fmin(least, DISTANCE(states[k] + dx, states[count + k] + dy));
+    const float wanted = (float)(least - grid[4]);
+    for (int64_t level = 1; level <= levels; level++) {
+        float *x = states + 6 * count * level, *y = x + count;
+        const float *from_x = x - 6 * count, *from_y = y - 6 * count;
+#pragma GCC ivdep
+        for (int64_t k = 0; k < count; k++) {
+            double to_x = x[k] + dx, to_y = y[k] + dy;
+            double half_x = 0.5 * (to_x + from_x[k] + dx), half_y = 0.5 * (to_y + from_y[k] + dy);
+            /* Half way as well; from an infinite place on that is beyond the edge. */
+            float end = DISTANCE(to_x, to_y), middle = DISTANCE(half_x, half_y);
+            float here = end < middle ? end : middle;
+            x[k] = here < wanted ? INFINITY : x[k];
+            y[k] = here < wanted ? INFINITY : y[k];
+        }
+    }
+#undef DISTANCE
+}
+
 static double speeds_of(const double *inputs, const double *state, int is_disturbed)
 {
     double speed = sqrt(inputs[0] * inputs[0] + inputs[1] * inputs[1]);

@@ -38,6 +38,9 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "hold_workspace": (_COUNT, _COUNT),
     "hold_meet": (_COUNT, *[_COUNT] * 4, *[_NUMBER] * 3, *[_ADDRESS] * 10),
     "hold_way": (None, *[_COUNT] * 3, *[_ADDRESS] * 5),
+    "hold_end_before_collisions": (
+        None, _COUNT, _COUNT, _ADDRESS, _ADDRESS, _COUNT, _COUNT, _ADDRESS, _NUMBER, _ADDRESS,
+    ),
     "hold_clearance": (
         _NUMBER, _COUNT, *[_ADDRESS] * 6, _COUNT, _COUNT, _ADDRESS, *[_NUMBER] * 4, _ADDRESS,
         _COUNT,

@@ -21,7 +21,7 @@ from sphere_nmpc.solver.half_motions import (
     knots_of,
     meet,
 )
-from sphere_nmpc.strategy.clearance import without_collisions
+from sphere_nmpc.strategy.clearance import end_before_collisions
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.time_optimal.knots import Grid
 from sphere_nmpc.strategy.time_optimal.settings import TimeOptimalSettings
@@ -105,8 +105,8 @@ def meeting_guesses(
     ends = goal.orientation.draw(rng, goal.at(situation.time + mean), count)
     at_end: Vector = -np.array(situation.course.legs[situation.leg].speeds)
     back = half_motions(ends, at_end, signals, levels, drives, constants)
-    forth = without_collisions(situation, forth)
-    back = without_collisions(situation, back, left_out)
+    end_before_collisions(situation, forth, np.zeros(2))
+    end_before_collisions(situation, back, left_out)
     found = meet(
         forth, back, range(first, last + 1), wanted, period, speed,
         settings.turn_weight * radius**2,

@@ -156,18 +156,17 @@ class Guide:
         if not failed:
             length = self.route.length(place) - self.route.length(chosen)
             detour = max(LEAST_DETOUR, length - float(np.linalg.norm(chosen - place)))
-        # As much as the goal itself is worth: the sphere moves soon, and is led on from there.
-        aims = [self._aim_at(chosen, detour, share=0.5)]
+        aims = [self._aim_at(chosen, detour)]
         if self.route.length(place) <= near:
             aims.insert(0, Aim(situation, self.detour(), share=0.5))
         return Guidance(aims)
 
-    def _aim_at(self, place: Vector, detour: float = 0.0, share: float = 1.0) -> Aim:
+    def _aim_at(self, place: Vector, detour: float = 0.0) -> Aim:
         situation = self._situation
         pose = np.concatenate((place, situation.goal.pose[QUATERNION]))
         leg = Leg(Goal(pose, Orientation.ANY, since=situation.time), LegEnd.THROUGH)
         course = situation.course.by_way_of(situation.leg, leg)
-        return Aim(replace(situation, course=course), detour, share)
+        return Aim(replace(situation, course=course), detour)
 
     def detour(self) -> float:
         """Return by how much the way to the goal is longer than the line [m]; 0 in sight."""

@@ -12,11 +12,11 @@ import numpy as np
 from sphere_nmpc.model.course import LegEnd
 from sphere_nmpc.model.goal import Goal
 from sphere_nmpc.model.parameters import RobotParameters
-from sphere_nmpc.model.state import POSITION, Vector
+from sphere_nmpc.model.state import POSE, POSITION, Vector
 from sphere_nmpc.strategy.clearance import Margin, is_clear
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import Plan
-from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver
+from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.chain import extended, later, replanned
 from sphere_nmpc.strategy.time_optimal.guide import Guide, with_lines
 from sphere_nmpc.strategy.time_optimal.knots import Grid
@@ -33,6 +33,9 @@ it. A shorter plan is searched for as a whole, by a round: where commands are la
 them would change the last manoeuvre at each sample."""
 _PARTS_SHARE = 0.5
 """Share of the effort of a search for which parts of a chain are searched for."""
+_MOST_FAILED = 4
+"""Failed searches that count at most where a plan is led on, so that the next place is no nearer
+than about one radius."""
 
 
 @lru_cache(maxsize=8)
@@ -146,25 +149,39 @@ class SearchTask:
 
     def _earlier(self, known: Plan, end: float) -> Plan | str | None:
         """Return a plan that is better than the one that is known; None without one."""
-        situation, solver = self.situation, self.solver
+        situation = self.situation
         is_passed = known.leg.end is LegEnd.THROUGH
-        goal = known.leg.goal if is_passed else situation.goal
-        start = solver.solve(situation, goal, known.hold, budget=self.longest, kept=True)
-        start = replace(start, leg=replace(known.leg, goal=start.leg.goal))
-        is_kept = start.error <= self.tuning.arrival_error
         in_parts = not (situation.floor.is_empty or situation.goal.rate.any())
         in_parts &= situation.has_small_momentum
-        if is_passed and not (in_parts and is_kept):
+        if is_passed and not in_parts:
             return self._new(end)
-        if not is_kept:
+        start = self._kept(known)
+        if start.error > self.tuning.arrival_error:
             return None
         in_parts &= start.duration > self._longest_part and not (start.made.turns or self.spared)
         if in_parts or is_passed:
             best = self._in_parts(start, end)
         else:
-            search = ArrivalSearch(solver, situation, self.seed, start, self._guide.detour())
+            detour = self._guide.detour()
+            search = ArrivalSearch(self.solver, situation, self.seed, start, detour)
             best = search.improve_once(end) or start
         return best if best.cost + self.spared < start.cost else None
+
+    def _kept(self, known: Plan) -> Plan:
+        """Return the plan that is known, in the situation in which it is to begin.
+
+        One to the goal is solved again. Where another one leads to is as good a place on the way
+        as that which was aimed at.
+        """
+        situation = self.situation
+        if known.leg.end is LegEnd.THROUGH:
+            start = rolled_out(known, situation, known.hold)
+            goal = replace(start.leg.goal, pose=start.states[-1, POSE].copy())
+            return replace(start, leg=replace(known.leg, goal=goal), error=0.0)
+        start = self.solver.solve(
+            situation, situation.goal, known.hold, budget=self.longest, kept=True
+        )
+        return replace(start, leg=replace(known.leg, goal=start.leg.goal))
 
     def _in_parts(self, plan: Plan, end: float) -> Plan:
         """Return a plan that leads on from a state of the given one, and of which parts are new.
@@ -178,7 +195,10 @@ class SearchTask:
             there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
             rested = situation.state[POSITION] if self.rested is None else self.rested
             from_rest = self.from_rest and not begin > 0.0
-            task = replace(self, situation=there, failed=0, from_rest=from_rest, rested=rested)
+            failed = int(rng.integers(min(self.failed, _MOST_FAILED) + 1))
+            task = replace(
+                self, situation=there, failed=failed, from_rest=from_rest, rested=rested
+            )
             further = task._new(end)
             if isinstance(further, Plan) and begin > 0.0:
                 plan = _better(plan, extended(situation, plan, begin, further, solver))

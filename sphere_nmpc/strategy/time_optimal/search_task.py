@@ -191,19 +191,7 @@ class SearchTask:
         situation, solver = self.situation, self.solver
         rng, work = np.random.default_rng(self.seed), 0
         if plan.leg.end is LegEnd.THROUGH:
-            begin = max(0.0, plan.hold.end - self._longest_part * rng.random())
-            there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
-            rested = situation.state[POSITION] if self.rested is None else self.rested
-            from_rest = self.from_rest and not begin > 0.0
-            failed = int(rng.integers(min(self.failed, _MOST_FAILED) + 1))
-            task = replace(
-                self, situation=there, failed=failed, from_rest=from_rest, rested=rested
-            )
-            further = task._new(end)
-            if isinstance(further, Plan) and begin > 0.0:
-                plan = _better(plan, extended(situation, plan, begin, further, solver))
-            elif isinstance(further, Plan):
-                plan = _better(plan, further)
+            plan = _better(plan, self._led_on(plan, rng, end))
         while plan.hold.end > self._longest_part and work < _PARTS_SHARE * self.effort:
             if time.perf_counter() > end:
                 break
@@ -217,6 +205,23 @@ class SearchTask:
             whole, spent = replanned(situation, plan, begin, until, solver, seed, end)
             plan, work = _better(plan, whole), work + spent
         return plan
+
+    def _led_on(self, plan: Plan, rng: np.random.Generator, end: float) -> Plan | None:
+        """Return a plan that leads on from a state of the given one; None without one."""
+        situation, solver, until = self.situation, self.solver, plan.hold.end
+        begin = max(0.0, until - self._longest_part * rng.random())
+        failed = int(rng.integers(min(self.failed, _MOST_FAILED) + 1))
+        if failed and rng.integers(2):
+            begin = until  # where it rests, straight lines lead on from a narrow place, too
+        there = later(situation, plan.hold, begin, solver.grid.fine).from_zero()
+        rested = situation.state[POSITION] if self.rested is None else self.rested
+        task = replace(
+            self, situation=there, failed=failed, from_rest=begin == until, rested=rested
+        )
+        further = task._new(end)
+        if not isinstance(further, Plan):
+            return None
+        return extended(situation, plan, begin, further, solver) if begin > 0.0 else further
 
     def _paced(self, situation: Situation, found: Plan, end: float) -> Plan:
         """Return a plan that spares the motors near the one found; without one that itself."""

@@ -22,9 +22,6 @@ from sphere_nmpc.strategy.plan import Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
 from sphere_nmpc.strategy.time_optimal.search import ArrivalSearch
 
-LEAST_DETOUR = 1e-3
-"""Detour [m] of a motion whose end may be out of sight."""
-
 
 def later(situation: Situation, hold: FirstOrderHold, time: float, max_step: float) -> Situation:
     """Return the situation at control time `time` [s] if the rotors follow `hold` until then.
@@ -107,7 +104,7 @@ def replanned(
     aimed = replace(start, course=Course((leg,)), leg=0).from_zero()
     part = hold.until(until).starting_at(begin, hold.at(begin)).delayed(-begin)
     known = rolled_out(replace(plan, leg=leg), aimed, grid.thinned(part))
-    search = ArrivalSearch(solver, aimed, seed, known, LEAST_DETOUR)
+    search = ArrivalSearch(solver, aimed, seed, known, detour=0.0)
     found = search.improve_once(deadline)
     if found is None or found is known:
         return None, search.work

@@ -28,7 +28,7 @@ from sphere_nmpc.strategy.clearance import Margin, is_clear, needed_distance
 from sphere_nmpc.strategy.contract import Situation
 from sphere_nmpc.strategy.plan import UNPLANNED_RATIO, Plan
 from sphere_nmpc.strategy.time_optimal.arrival import ArrivalSolver, rolled_out
-from sphere_nmpc.strategy.time_optimal.chain import LEAST_DETOUR, joined
+from sphere_nmpc.strategy.time_optimal.chain import joined
 from sphere_nmpc.strategy.time_optimal.lines import gone_back, line_hold
 from sphere_nmpc.strategy.time_optimal.steady_rolling import SteadyRolling
 
@@ -61,14 +61,14 @@ class Aim(NamedTuple):
     ----------
     situation : Situation
         With the goal that is aimed at: a local one is the end of a leg put in front.
-    detour : float
-        Length by which the way there is longer than the straight line [m].
+    detour : float or None
+        Length by which the way there is longer than the straight line [m]; None if that is free.
     share : float
         Share of the planning effort that it is worth.
     """
 
     situation: Situation
-    detour: float = 0.0
+    detour: float | None = None
     share: float = 1.0
 
     @property
@@ -152,29 +152,29 @@ class Guide:
                 "on either side leads there from the place of the sphere"
             ))
         chosen = _place_on(path, situation, failed)
-        detour = 0.0
+        detour = None
         if not failed:
             length = self.route.length(place) - self.route.length(chosen)
-            detour = max(LEAST_DETOUR, length - float(np.linalg.norm(chosen - place)))
+            detour = max(0.0, length - float(np.linalg.norm(chosen - place)))
         aims = [self._aim_at(chosen, detour)]
         if self.route.length(place) <= near:
             aims.insert(0, Aim(situation, self.detour(), share=0.5))
         return Guidance(aims)
 
-    def _aim_at(self, place: Vector, detour: float = 0.0) -> Aim:
+    def _aim_at(self, place: Vector, detour: float | None = None) -> Aim:
         situation = self._situation
         pose = np.concatenate((place, situation.goal.pose[QUATERNION]))
         leg = Leg(Goal(pose, Orientation.ANY, since=situation.time), LegEnd.THROUGH)
         course = situation.course.by_way_of(situation.leg, leg)
         return Aim(replace(situation, course=course), detour)
 
-    def detour(self) -> float:
-        """Return by how much the way to the goal is longer than the line [m]; 0 in sight."""
+    def detour(self) -> float | None:
+        """Return by how much the way to the goal is longer than the line [m]; None in sight."""
         situation, place, goal = self._situation, self._place, self._goal
         needed = needed_distance(situation, Margin.KEPT)
         if in_sight(situation.floor, place, goal[None, :], needed)[0]:
-            return 0.0
-        return max(LEAST_DETOUR, self.route.length(place) - float(np.linalg.norm(goal - place)))
+            return None
+        return max(0.0, self.route.length(place) - float(np.linalg.norm(goal - place)))
 
     def leads_on(self, plan: Plan) -> bool:
         """Return whether a plan leads on from where the sphere has last rested."""

@@ -72,13 +72,14 @@ class ArrivalSearch:
         Seed of the initial guesses.
     known : Plan, optional
         An arrival from this situation, before which another is searched for.
-    detour : float, optional
-        Length by which the way to the goal is longer than the straight line [m].
+    detour : float or None, optional
+        Length by which the way to the goal is longer than the straight line [m]; None where the
+        line is free, so that whole turns may be left out of it.
     """
 
     def __init__(
         self, solver: ArrivalSolver, situation: Situation, seed: int,
-        known: Plan | None = None, detour: float = 0.0,
+        known: Plan | None = None, detour: float | None = None,
     ) -> None:
         settings, grid, robot = solver.settings, solver.grid, solver.robot
         self._solver, self._settings, self._grid = solver, settings, grid
@@ -91,9 +92,9 @@ class ArrivalSearch:
         """Displacement of a turn [m]."""
         self._near = situation
         has_turns = known is not None and known.made.turns > 0
-        if situation.has_small_momentum and (has_turns or not detour):
+        if situation.has_small_momentum and (has_turns or detour is None):
             self._aim_near(known)
-        self._least = self._rolling_time(self._near) + detour / self._rolling.speed
+        self._least = self._rolling_time(self._near) + (detour or 0.0) / self._rolling.speed
         end_speeds = situation.course.legs[situation.leg].speeds
         self._least += robot.ramp_time * (1.0 - max(map(abs, end_speeds)) / self._drives.limit)
         self._reached = _REACHED_ERROR

@@ -7,9 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sphere_nmpc.estimation import equations, moving_horizon
 from sphere_nmpc.estimation.motion import Interval
 from sphere_nmpc.estimation.moving_horizon import MovingHorizon
-from sphere_nmpc.estimation.posterior import CONSTANTS, KNOT, SHARE, Posterior, Scaling
+from sphere_nmpc.estimation.posterior import (
+    CONSTANTS,
+    KNOT,
+    LOCAL,
+    SHARE,
+    Posterior,
+    Scaling,
+)
 from sphere_nmpc.estimation.settings import TABLE_1_NUMBERS
 from sphere_nmpc.model.parameters import RobotParameters
 from sphere_nmpc.model.state import Vector
@@ -145,3 +153,29 @@ def test_weak_drives_are_told_from_wrong_constants_and_a_robot_that_is_moved(
         assert SCALING.lag(horizon.result.common) < 5e-4
         # Eight samples of which a third hold their speeds tell less than random ones.
         assert relative_error(horizon, robot) < 3e-3
+
+
+def test_an_interval_without_news_is_fitted_once_and_its_covariance_is_that_of_all_unknowns(
+    monkeypatch,
+) -> None:
+    """At rest, or as predicted: one solution, and one to sum up the oldest interval."""
+    solved = list[equations.NormalEquations]()
+
+    class Seen(equations.NormalEquations):
+        def __init__(self, *given) -> None:
+            super().__init__(*given)
+            solved.append(self)
+
+    monkeypatch.setattr(moving_horizon, "NormalEquations", Seen)
+    counts = []
+    for rests in (8, 16):
+        drive(new_horizon(LIMIT), NOMINAL, random_speeds(4, 1) + [np.zeros(2)] * rests)
+        counts.append(len(solved) - sum(counts))
+    assert counts[1] - counts[0] <= 2 * 8
+    largest = max(solved, key=lambda one: one.gradient.size)
+    expected = np.linalg.inv(largest.information)[-LOCAL:, -LOCAL:]
+    units = np.sqrt(np.diag(expected))
+    # Rounding, 1e-16, times the condition of the information, below 1e8.
+    np.testing.assert_allclose(
+        largest.covariance() / np.outer(units, units), expected / np.outer(units, units), atol=1e-8
+    )

@@ -68,7 +68,7 @@ def run(conditions: StudyConditions, kind: str, seed: int, gap: float | None) ->
     apart = 0.0
     if conditions.simulator.plant == "rolling" and not simulator.touches:
         # Until the rotors rest for good.
-        moving = int(np.flatnonzero(found.rotor_speeds.values.any(axis=1))[-1]) + 2
+        moving = int(np.flatnonzero(found.rotor_speeds.values.any(axis=1)).max(initial=0)) + 2
         times, speeds = found.times[:moving], found.rotor_speeds.values[:moving]
         own = integrated(start, times, speeds, robot.lumped)
         apart = float(np.linalg.norm(own - found.states[:moving, POSITION], axis=1).max())

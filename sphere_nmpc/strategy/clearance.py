@@ -96,11 +96,20 @@ def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> 
 
     It is that between the sphere and what is occupied [m], infinite where nothing is; nan where it
     is not certified to be enough. A sphere that is nearer at the start than it has to be comes no
-    nearer, and never into contact.
+    nearer, and never into contact. What is certified with a margin is with all that are less.
     """
-    if situation.floor.is_empty:  # at every sample, in no time
+    floor = situation.floor
+    if floor.is_empty:  # at every sample, in no time
         return math.inf
-    return certified(situation, hold, needed_distance(situation, margin)) - situation.radius
+    needed = needed_distance(situation, margin)
+    found = certified(situation, hold, needed)
+    if math.isnan(found):
+        start = floor.least_distance(situation.state[POSITION])
+        # From there on less is asked of a motion with a margin of which it is short at its start.
+        larger = (needed_distance(situation, each) for each in Margin if each.value > margin.value)
+        tried = (certified(situation, hold, each) for each in larger if each > start)
+        found = next((each for each in tried if not math.isnan(each)), math.nan)
+    return found - situation.radius
 
 
 def certified(situation: Situation, hold: FirstOrderHold, needed: float) -> float:

@@ -27,6 +27,7 @@ from sphere_nmpc.strategy.clearance import (
     certified,
     clearance_of,
     end_before_collisions,
+    is_clear,
     needed_distance,
     plain_certified,
     profile_of,
@@ -127,6 +128,27 @@ def test_the_certificate_bounds_the_clearance_of_the_motion() -> None:
         fine, coarse = (profile_of(now, hold, spacing).places for spacing in (0.005, 0.04))
         np.testing.assert_allclose(coarse[-1], fine[-1], atol=1e-6)
     assert 40 < sum(refused) < 160 and bounded > 20
+
+
+def test_what_is_certified_with_a_margin_is_with_all_that_are_less() -> None:
+    """A start with less than a margin asks less of a motion; such a plan was found, not followed.
+
+    Millimetres from a wall, where the margins differ.
+    """
+    rng, wall = np.random.default_rng(6), floor_of(CLOSED)
+    certified_with = dict.fromkeys(Margin, 0)
+    for _ in range(400):
+        away = RADIUS + wall.clearance + RADIUS * rng.uniform(0.0, 0.025)
+        state = without_momentum(pose(3.0 - away, 2.0, tuple(rotation.random_quaternion(rng))))
+        now = Situation.of(0.0, state, pose(1.0, 2.0), STILL, ROBOT.lumped, floor=wall)
+        angle = rng.uniform(0.5, 1.5) * math.pi
+        target = state[POSITION] + 0.3 * np.array((math.cos(angle), math.sin(angle)))
+        hold = line_hold(state, target, ROBOT.lumped, SOLVER)
+        clear = [hold is not None and is_clear(now, hold, margin) for margin in Margin]
+        assert clear == sorted(clear), (away, clear)
+        for margin, one in zip(Margin, clear, strict=True):
+            certified_with[margin] += one
+    assert 20 < certified_with[Margin.FOUND] < certified_with[Margin.SENT]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4])

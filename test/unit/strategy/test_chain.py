@@ -3,6 +3,8 @@
 """Chains on a floor: each search gives a whole that takes less time, or none."""
 
 import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -97,3 +99,32 @@ def test_a_part_leads_from_one_state_in_motion_to_the_other(chain) -> None:
         # What is joined is solved again for the error at the end alone, of some 1e-3.
         assert state_error(one.state, other.state[POSE]) < 2e-2
         assert np.max(np.abs(one.speeds - other.speeds)) < 5e-2 * LIMIT
+
+
+def test_a_plan_is_led_on_from_where_it_leads_to_although_it_was_aimed_elsewhere(chain) -> None:
+    """A millimetre off, fifty times the error with which a plan to a goal counts as there."""
+    off = chain[0].leg.goal.pose + np.array((1e-3, 0.0, 0.0, 0.0, 0.0, 0.0))
+    known = replace(chain[0], leg=replace(chain[0].leg, goal=replace(chain[0].leg.goal, pose=off)))
+    for seed in range(MOST):
+        found = searched(seed, known)
+        if isinstance(found, Plan):
+            break
+    else:
+        raise AssertionError("it has never been led on")
+    assert found.cost < known.cost
+
+
+def test_after_failed_searches_a_plan_is_led_on_from_its_end_too(monkeypatch, chain) -> None:
+    """Also to places nearer than the farthest one in sight; without failures it is not."""
+    begun = list[tuple[bool, int]]()
+
+    def searched_from(task: SearchTask, _: float) -> None:
+        at_end = state_error(task.situation.state, chain[0].states[-1, POSE]) < 1e-6
+        begun.append((task.from_rest and at_end, task.failed))
+
+    monkeypatch.setattr(SearchTask, "_new", searched_from)
+    for failed, seed in product((0, 3), range(40)):
+        SearchTask(ROBOT, TUNING, SITUATION, seed, 1, math.inf, False, chain[0], failed)()
+    assert set(begun[:40]) == {(False, 0)}
+    assert {count for _, count in begun[40:]} == {0, 1, 2, 3}
+    assert {(True, 2), (False, 2)} <= set(begun[40:]) and (True, 0) not in begun[40:]

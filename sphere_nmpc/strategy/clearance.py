@@ -105,7 +105,7 @@ def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> 
     found = certified(situation, hold, needed)
     if math.isnan(found):
         start = floor.least_distance(situation.state[POSITION])
-        # The rule for a start that is short of a margin may certify what that of this one does not.
+        # What a start that is short of a margin has to keep may be less than what this one has.
         larger = (needed_distance(situation, each) for each in Margin if each.value > margin.value)
         tried = (certified(situation, hold, each) for each in larger if each > start)
         found = next((each for each in tried if not math.isnan(each)), math.nan)

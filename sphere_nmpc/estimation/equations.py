@@ -212,8 +212,8 @@ def _places(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     size = KNOT * (count + 1) + COMMON
     knots = KNOT * np.arange(count)[:, None] + np.arange(2 * KNOT)
     common = np.tile(np.arange(size - COMMON, size), (count, 1))
-    within = np.hstack((knots, common))
-    return within.ravel(), (size * within[:, :, None] + within[:, None, :]).ravel()
+    unknowns = np.hstack((knots, common))
+    return unknowns.ravel(), (size * unknowns[:, :, None] + unknowns[:, None, :]).ravel()
 
 
 class NormalEquations:
@@ -256,10 +256,10 @@ class NormalEquations:
                 gradients[k][_OWN] += gradient
                 cost += more
         size = KNOT * (count + 1) + COMMON
-        within, entries = _places(count)
+        unknowns, entries = _places(count)
         sums = np.bincount(entries, blocks.ravel(), size * size)
         self.information: Vector = np.asarray(sums, dtype=float).reshape(size, size)
-        sums = np.bincount(within, gradients.ravel(), size)
+        sums = np.bincount(unknowns, gradients.ravel(), size)
         self.gradient: Vector = np.asarray(sums, dtype=float)
         first = np.r_[0:KNOT, size - COMMON : size]
         self.information[np.ix_(first, first)] += given.prior.information

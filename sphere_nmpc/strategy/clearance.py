@@ -101,14 +101,14 @@ def clearance_of(situation: Situation, hold: FirstOrderHold, margin: Margin) -> 
     floor = situation.floor
     if floor.is_empty:  # at every sample, in no time
         return math.inf
-    needed = needed_distance(situation, margin)
-    found = certified(situation, hold, needed)
-    if math.isnan(found):
-        start = floor.least_distance(situation.state[POSITION])
-        # What a start that is short of a margin has to keep may be less than what this one has.
-        larger = (needed_distance(situation, each) for each in Margin if each.value > margin.value)
-        tried = (certified(situation, hold, each) for each in larger if each > start)
-        found = next((each for each in tried if not math.isnan(each)), math.nan)
+    found = certified(situation, hold, needed_distance(situation, margin))
+    # What a start that is short of a larger margin has to keep may be less.
+    for larger in Margin:
+        if larger is margin or not math.isnan(found):
+            break
+        needed = needed_distance(situation, larger)
+        if needed > floor.least_distance(situation.state[POSITION]):
+            found = certified(situation, hold, needed)
     return found - situation.radius
 
 
